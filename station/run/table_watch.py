@@ -135,8 +135,8 @@ async def watch_table(
     """Read the table and pass rows to ``on_row`` until cancelled.
 
     DeviceFault when an axis goes to fault, leaves operation, or moves without a command; UntrueReadings when its
-    readings contradict its command or each other. The table is read at ``rate_hz``, faster if ``sequencer`` wants it, slower if
-    the link is slow. ``on_lost`` reopens a lost link or raises.
+    readings contradict its command or each other. The table is read at ``rate_hz``, faster if ``sequencer`` wants it,
+    slower if the link is slow. ``on_lost`` reopens a lost link or raises.
 
     An axis that is driven or turns is read every time. Of the others only the one read longest ago is read, at most
     every 0.4 s, which leaves a slow bus its time for axes that turn: unexpected motion is still seen within a second.

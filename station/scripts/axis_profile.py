@@ -57,7 +57,8 @@ def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
 def _bars(size: Floats, largest: float, blocks: str, at_rest: str = "") -> str:
     """Return a bar for each size (columns,), as a character of ``blocks``, relative to ``largest``.
 
-    Columns without rotation get the characters of ``at_rest``, one each, or blanks.
+    Columns with a size of 0 or less get the characters of ``at_rest``, one each, or blanks. The least positive size is
+    drawn.
     """
     steps = len(blocks) - 1
     share = np.clip(size / largest, 0, 1) if largest else np.zeros_like(size)
@@ -71,8 +72,9 @@ def _bars(size: Floats, largest: float, blocks: str, at_rest: str = "") -> str:
 
 
 def _time_axis(duration_s: float, columns: int) -> list[str]:
-    """Return the ruler, ``columns`` wide, and the labels of the time axis to ``duration_s``, with the indent of the
-    bars.
+    """Return the two lines of the time axis: the ruler, ``columns`` wide, and the labels up to ``duration_s``.
+
+    Both have the indent of the bars.
     """
     most = max(columns // _LEAST_TICK, 1)
     step = next((s for s in _STEPS_S if duration_s / s <= most), duration_s)

@@ -52,11 +52,10 @@ def early_and_late(script: Script, limits: Mapping[str, AxisLimits], gimbals: Se
 
 
 def _early_and_late(script: Script, limits: Mapping[str, AxisLimits], sign: int) -> Script | None:
-    """Return a script with the steps in half of their time, a rest, and the same steps with their angles times
-    ``sign``.
+    """Return a script with the steps in half of their time, a rest, and them again with angles times ``sign``.
 
     With ``sign`` 1 the axes go home before the rest. Moves cannot be faster; their extra time is taken from the rests.
-    None if that is too much, if a turn would be too short for its ramps, or if nothing moves.
+    None if that is too much, if a step cannot be halved, or if nothing moves.
     """
     before, between, after = _around_motion(script.steps)
     halves = [step.halved(limits) for step in between]
@@ -80,9 +79,10 @@ def _early_and_late(script: Script, limits: Mapping[str, AxisLimits], sign: int)
 
 
 def _moves_home(steps: Sequence[Step]) -> list[Move]:
-    """Return the moves that bring all axes home after these steps.
+    """Return the moves that bring all axes home after these steps, at the largest rates that these have.
 
-    An axis that is only rotated goes to the nearest full turn, one that moves to stated angles to zero.
+    An axis that is only rotated goes to the nearest full turn, one that moves to stated angles to zero. Axes that are
+    there within 0.01 deg are left out.
     """
     angles: dict[str, float] = {}
     fastest: dict[str, Turn] = {}
@@ -105,7 +105,8 @@ def _moves_home(steps: Sequence[Step]) -> list[Move]:
 def _around_motion(steps: Sequence[Step]) -> tuple[tuple[Rest, ...], tuple[Step, ...], tuple[Rest, ...]]:
     """Return the rest before the first motion, the steps from the first to the last motion, and the rest after.
 
-    Each rest is a single one of at most 10 s, or none. All are empty if nothing moves.
+    The rests at each end are joined into one of at most 10 s; it is left out if there are none. All are empty if
+    nothing moves.
     """
     moving = [number for number, step in enumerate(steps) if step.turns]
     if not moving:

@@ -37,10 +37,9 @@ def between_rests(name: str, steps: Sequence[Step], rest_s: float = REST_S) -> S
 def there_and_back(
     axis: str, rate_dps: float, duration_s: float = TURN_S, acceleration_rps2: float = RAMP_RPS2
 ) -> tuple[Rotate, Rotate]:
-    """Return a turn at a rate and the opposite turn, each of ``duration_s`` with its ramps: the axis ends where it
-    began.
+    """Return a turn at a rate and the opposite turn, so that the axis ends where it began.
 
-    The rate is in deg/s, the acceleration in rad/s2.
+    Each takes ``duration_s`` with its ramps. The rate is in deg/s, the acceleration in rad/s2.
     """
     first, second = (
         Rotate(axis, rate * _DEG, duration_s, acceleration_rps2, f"{axis} at {rate:g} deg/s")
@@ -50,9 +49,10 @@ def there_and_back(
 
 
 def candidates(limits: Mapping[str, AxisLimits], gimbals: Sequence[str]) -> Iterator[Script]:
-    """Yield scripts of all kinds that show effects, within the limits, each ending at home.
+    """Yield scripts of all kinds that show effects, between rests, each ending at home.
 
-    Turns of several kinds come once, twice and four times, then rests of three lengths.
+    Rates and accelerations are within the limits; travel is not considered. Turns of several kinds come once, twice and
+    four times, then rests of three lengths.
     """
     axes = [axis for axis in "xyz" if axis in gimbals]
 

@@ -44,7 +44,10 @@ class NextScript:
     rivals: tuple[tuple[str, ...], ...]
 
     def words(self) -> str:
-        """Return the script's name, length, aim and probability in one line; a probability below 20 % is said first."""
+        """Return name, length, aim and probability in one line; a probability below 20 % is said first.
+
+        It is never given as more than 99 %.
+        """
         aims = [" and ".join(own) if len(own) > 1 else f"{own[0]} from noise" for own in self.rivals]
         aim = ", ".join(aims).replace("_", " ")
         text = f"{self.script.name}, {self.script.least_s:.0f} s: separates {aim} with probability "
@@ -68,7 +71,7 @@ class Past:
     def of(cls, run: Run) -> Self:
         """Return the source of a run, with its conditions about every 50 ms.
 
-        Without a data sheet, white noise is estimated from the differences of samples.
+        Without a data sheet, the density of white noise is estimated from the differences of samples, over all gyros.
         """
         data, noise = run.data, run.data.noise
         if noise is None:
@@ -97,7 +100,7 @@ def next_script(
     judging: Sequence[Past] = (),
     most_s: float = math.inf,
 ) -> NextScript | None:
-    """Return the best script to decide between effects, None if none of them is known or no script fits.
+    """Return the best script to decide between effects; None without runs, without known effects, or if none fits.
 
     ``rivals`` are sets of effects that explain the same; an effect alone in its set is compared with no effect. The
     runs ``past`` were fitted, ``judging`` only verified; ``evidence`` is the log evidence of each effect in both, which
@@ -106,7 +109,7 @@ def next_script(
 
     Two rivals are decided when the log of their odds exceeds that of 0.95. Its mean is half the squared misfit, in
     sigmas, that one leaves of the other's effect, plus what the former's greater freedom costs it. The shortest script
-    that decides all sets with sufficient probability is taken, else the best one.
+    that decides all sets with a probability of 0.95 is taken, else the best one; a longer one must be better by 0.01.
     """
     names = {name for own in rivals for name in own}
     effects = _effects(names, gimbals, past)
@@ -134,9 +137,9 @@ def next_script(
 
 
 def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> dict[str, list[Effect]]:
-    """Return the effects for each name that is known and that these recordings can show.
+    """Return by name the effects that are known and that all these recordings have the data for.
 
-    Harmonics stand for all their orders; the warm-up for several time constants.
+    Other names are left out. A harmonic's name stands for all its orders; the warm-up for several time constants.
     """
     offers = frozenset[str].intersection(*(p.conditions.offers for p in past)) if past else frozenset[str]()
     span_s = max((float(p.conditions.t_s[-1] - p.conditions.t_s[0]) for p in past), default=1.0)
@@ -152,9 +155,10 @@ def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> d
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grams:
-    """Information (g) on [four states | parameters] of every gyro, each scaled by its plausible size.
+    """Information (k, k) on [four states | parameters] of every gyro, each scaled by its plausible size.
 
-    ``own`` gives the columns of each effect, ``shared`` the effects that all gyros have in common.
+    Keys of ``matrices`` are device and name of the gyro. ``own`` gives the columns of each effect, ``shared`` the
+    effects that all gyros have in common.
     """
 
     matrices: Mapping[tuple[str, str], Floats]
@@ -189,14 +193,15 @@ class _Grams:
         return cls(matrices, own, shared)
 
     def __add__(self, other: Self) -> Self:
-        """Return the information of both together."""
+        """Return the information of both together, for the gyros of this one; others of ``other`` are left out."""
         matrices = {key: matrix + other.matrices.get(key, 0.0) for key, matrix in self.matrices.items()}
         return replace(self, matrices=matrices)
 
     def beside_states(self, names: Sequence[str]) -> tuple[Floats, list[Floats]]:
-        """Return the information (k, k) on the parameters of these effects, and which rows belong to each effect.
+        """Return the information (p, p) on the parameters of these effects, and which rows belong to each effect.
 
-        The states are eliminated. An effect that is not shared has parameters for every gyro.
+        The states are eliminated. The parameters of an effect that is not shared come once for every gyro. Rows are in
+        the order of ``names``.
         """
         gyros = len(self.matrices)
         spread = [1 if name in self.shared else gyros for name in names]
@@ -245,7 +250,8 @@ def _probability_separated(names: Sequence[str], before: _Grams, after: _Grams, 
 def _misfit_and_freedom(grams: _Grams, true: str, other: str) -> tuple[float, float]:
     """Return the squared misfit that ``other`` leaves of ``true`` at its largest plausible size, and a log of freedom.
 
-    The latter is how much more freedom ``other`` has: a model that could explain more is less probable.
+    The misfit is in units of the noise. The latter is how much more freedom ``other`` has: a model that could explain
+    more is less probable.
     """
     total, (a, b) = grams.beside_states((true, other))
     own, others, cross = total[np.ix_(a, a)], total[np.ix_(b, b)] + np.eye(len(b)), total[np.ix_(b, a)]
@@ -278,9 +284,9 @@ def _origin_s(past: Sequence[Past]) -> float | None:
 
 
 def _foreseen_conditions(script: Script, past: Sequence[Past], gimbals: Sequence[str], site: Site | None) -> list[Past]:
-    """Return the predicted conditions of each source during ``script``, 15 s after its last recording.
+    """Return the predicted conditions of each source during ``script``, beginning 15 s after its last recording.
 
-    The temperature goes on as it was; the noise and prior are those of that recording.
+    The temperature goes on as it was; the noise and prior are those of that recording. The table begins at home.
     """
     planned = planned_motion(script, gimbals, _PERIOD_S)
     runs = []
@@ -294,9 +300,9 @@ def _foreseen_conditions(script: Script, past: Sequence[Past], gimbals: Sequence
 
 
 def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
-    """Return the predicted temperature (n,) at ``t_s`` (n,): the exponential that fits best, continued.
+    """Return the predicted temperature (n,) in deg C at ``t_s`` (n,): the exponential that fits best, continued.
 
-    None if none was recorded.
+    Its time constant is between one minute and one hour. None if no temperature was recorded.
     """
     if last.temperature_c is None:
         return None
@@ -317,10 +323,9 @@ def _with_own_bias(gram: Floats, share: float) -> Floats:
 
 
 def _conditions_since(conditions: Conditions, origin_s: float) -> tuple[Conditions, slice]:
-    """Return conditions that begin at ``origin_s``, for laws of time, and the slice of their rows that are the given
-    ones.
+    """Return conditions that begin at ``origin_s``, for laws of time, and the slice of the given rows among theirs.
 
-    Two rows at the origin are put before them, unless it is not before their beginning.
+    Two rows at the origin are put before the given ones. If it is not earlier than these, they are returned unchanged.
     """
     if origin_s >= float(conditions.t_s[0]) - conditions.period_s:
         return conditions, slice(None)

@@ -49,10 +49,10 @@ class PlannedMotion:
 
 
 def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.05) -> PlannedMotion:
-    """Return the motion when a table at home carries out the script, at the middle of each period; at least two
-    instants.
+    """Return the motion when a table at home carries out the script, at the middle of each period.
 
-    Steps of open duration take their least. The script must be one that the table can do (``script.check``).
+    There are at least two instants. Steps of open duration take their least. The script must be one that the table can
+    do (``script.check``).
     """
     axes = tuple(gimbals)
     count = max(math.ceil(script.least_s / period_s - 1e-9), 2)
@@ -74,7 +74,7 @@ def planned_motion(script: Script, gimbals: Sequence[str], period_s: float = 0.0
 def _trapezoid(since_s: Floats, turn: Turn) -> tuple[Floats, Floats, Floats]:
     """Return angle since its beginning, rate and acceleration (N,) of a turn, at times ``since_s`` (N,) since it began.
 
-    Before it all are 0; after it the angle stays.
+    They have the sign of the turn. Before it all are 0; after it the angle stays.
     """
     limit = turn.acceleration_rps2
     way_rad = turn.way_rad

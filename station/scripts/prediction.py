@@ -57,7 +57,10 @@ def predict(script: Script, bench: Bench, *, coarse: bool = False) -> Prediction
 
 
 def _gyro_covariances(motion: PlannedMotion, bench: Bench, imu: ImuConfig, period_s: float) -> Floats:
-    """Return the covariances (g, 4, 4) of the states of the gyros of a device: noise and table."""
+    """Return the covariances (g, 4, 4) of the states of the gyros of a device: noise and table.
+
+    ``period_s`` is that of the motion's instants.
+    """
     w = body_rate(motion.angle_rad, motion.rate_rps, motion.gimbals, bench.site)
     columns = np.column_stack([np.ones(len(w)), w])
     maps = regressor_maps(imu.array)
@@ -74,7 +77,8 @@ def _gyro_covariances(motion: PlannedMotion, bench: Bench, imu: ImuConfig, perio
 def _force_covariances(motion: PlannedMotion, bench: Bench, imu: ImuConfig, period_s: float, coarse: bool) -> Floats:
     """Return the covariances (a, 7, 7) of states and places of the accelerometers of a device.
 
-    ``period_s`` is that of its samples. ``coarse`` leaves out the rounding of angles to counts, which takes long.
+    ``period_s`` is that of the motion's instants. ``coarse`` leaves out the rounding of angles to counts, which takes
+    long.
     """
     sheet = imu.force_sheet
     assert sheet is not None

@@ -72,9 +72,7 @@ class Script:
         return [timed.span for timed in self.timeline()]
 
     def timeline(self) -> list[Timed]:
-        """Return each step with its earliest beginning in s, its span and its parts, starting from home with every
-        axis.
-        """
+        """Return each step with its earliest beginning in s, its span and its parts; every axis starts from home."""
         angles_rad: dict[str, float] = {}
         timeline = []
         at_s = 0.0
@@ -99,9 +97,9 @@ def paper_script() -> Script:
 def load_script(path: Path, plugins: Iterable[Path] = (), axis: str = "x") -> Script:
     """Return the script of a TOML file, or the shipped one of this name; that for one axis is about ``axis``.
 
-    ScriptError, with the line where there is one, if it is invalid or has no step.
-
-    ``plugins`` are Python files of a bench that may define kinds of steps.
+    A shipped one is meant if ``path`` has no suffix and does not exist. ``plugins`` are Python files of a bench that
+    may define kinds of steps. ScriptError, with the line where there is one, if the file is missing or invalid or has
+    no step; whether a table can do it is not checked.
     """
     if path.suffix or path.exists():
         top = Table.load(path, ScriptError, "a script. Give a .toml file")
@@ -212,7 +210,10 @@ def _check_travel(turn: Turn, limit: AxisLimits) -> None:
 
 
 def rounded(asked: Script, driven: Script) -> list[str]:
-    """Return one sentence on the accelerations that the controller rounds down noticeably; empty if there are none."""
+    """Return one sentence on the accelerations that the controller rounds down by more than 1 %, in a list.
+
+    It also names both lengths of the script. Empty if there are none. The scripts must have the same steps.
+    """
     ramps = set()
     for asked_step, driven_step in zip(asked.steps, driven.steps, strict=True):
         for wanted, made in zip(asked_step.demands(), driven_step.demands(), strict=True):

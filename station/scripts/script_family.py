@@ -70,7 +70,8 @@ def ways_of(gimbals: Sequence[str], poses_rad: Sequence[float]) -> list[Way]:
 def one_way(ways: Sequence[Way]) -> Iterator[tuple[Way, ...]]:
     """Yield these ways turned in one direction only, in every choice of directions that matters.
 
-    They must be at home, outermost first: a turn then changes the direction of no turn after it, whatever its angle.
+    The first always turns forwards. They must be at home, outermost first: a turn then changes the direction of no turn
+    after it, whatever its angle.
     """
     for signs in itertools.product((1, -1), repeat=len(ways) - 1):
         yield tuple(replace(way, sign=sign) for way, sign in zip(ways, (1, *signs), strict=True))
@@ -85,8 +86,9 @@ class Shape:
     def __init__(
         self, ways: Sequence[Way], cycles: int, rest_s: float, limits: Mapping[str, AxisLimits], gimbals: Sequence[str]
     ) -> None:
-        """Prepare for ``ways`` of a table with these ``limits`` and ``gimbals``; ``rest_s`` is the least rest at each
-        end.
+        """Prepare for ``ways`` of a table with these ``limits`` and ``gimbals``, outermost first.
+
+        ``rest_s`` is the least rest at each end.
         """
         self.ways, self.cycles = tuple(ways), cycles
         self._limits, self._gimbals = limits, tuple(gimbals)
@@ -128,7 +130,8 @@ class Shape:
     def _steps(self, v: Floats) -> Iterator[Step]:
         """Yield the steps for variables v: rest, moves and turns of each cycle, moves home, rest.
 
-        A way with a sign turns that way only, others there and back.
+        A way with a sign turns that way only, others there and back. Moves take what the axes need, beside the
+        variables.
         """
         yield Rest(float(v[-1]), "rest before")
         angles = dict.fromkeys(self._gimbals, 0.0)
@@ -144,7 +147,10 @@ class Shape:
         yield Rest(float(v[-1]), "rest after")
 
     def _turns(self, way: Way, turn_s: float) -> tuple[Floats, Floats]:
-        """Return the contribution of all turns of a way to the sums (4, 4), and its derivative by their duration."""
+        """Return what all turns of a way add to the sums (4, 4), and its derivative by their duration (4, 4).
+
+        All cycles are counted. Of turns there and back the angles cancel.
+        """
         limit = self._limits[way.axis]
         rate, push = turn_rate(turn_s, limit), limit.acceleration_rps2
         rate_slope = 0.0 if rate == limit.rate_rps else _RAMP_SHARE * push
@@ -205,7 +211,10 @@ def _direction(axis: str, angles: Mapping[str, float], gimbals: Sequence[str]) -
 
 
 def moves(angles: dict[str, float], aims: Mapping[str, float], limits: Mapping[str, AxisLimits]) -> Iterator[Move]:
-    """Yield the moves of axes from ``angles`` to ``aims``, as fast as their limits allow, and update ``angles``."""
+    """Yield the moves of axes from ``angles`` to ``aims`` (rad), as fast as their limits allow.
+
+    Axes that are there already are skipped. ``angles`` are updated.
+    """
     for axis, angle in aims.items():
         if angles[axis] != angle:
             angles[axis] = angle

@@ -62,11 +62,11 @@ class Needs:
         return np.asarray(np.log(sds_of(covariances)[wanted] / self.sd[wanted]))
 
     def cost(self, covariances: Floats, criterion: str) -> tuple[float, Floats]:
-        """Return the logarithm of the typical sigma of required states, and its derivative (n, 4, 4) by
-        ``covariances``.
+        """Return a logarithm of the size of required sigmas, and its derivative (n, 4, 4) by ``covariances``.
 
-        Criterion "D" uses the determinants of the covariances (n, 4, 4), any other the mean of the variances relative
-        to the required ones.
+        It is for covariances (n, 4, 4). Criterion "D" gives half the log of their determinants, as a mean over the
+        required states; any other half the log of the sum of variances relative to the required ones. States without a
+        requirement do not count.
         """
         wanted = np.isfinite(self.sd)
         slope = np.zeros_like(covariances)
@@ -176,11 +176,11 @@ class Search:
     def _chosen(
         self, solve: Callable[[Shape], _Solved | None], settle: Callable[[Shape], tuple[float, FoundScript] | None]
     ) -> FoundScript | None:
-        """Return the best script: the shapes best under white noise by ``solve``, settled by ``settle`` under all
-        noise.
+        """Return the best script: the shapes best under white noise by ``solve``, settled under all noise.
 
-        ``settle`` also returns the cost. More cycles are tried while they gain. Among nearly equal ones that with the
-        fewest steps is taken, with ramps as gentle as it costs nothing. None if no shape can be settled.
+        ``solve(shape)`` and ``settle(shape)``, which also returns the cost, give None for a shape that does not reach
+        the goal. More cycles are tried while they gain. Among nearly equal ones that with the fewest steps is taken,
+        with ramps as gentle as it costs nothing. None if no shape can be settled.
         """
         ranked = self._ranked(solve)
         found: list[tuple[float, FoundScript, Shape]] = []
@@ -211,10 +211,9 @@ class Search:
         enough: float,
         settle: Callable[[Shape], tuple[float, FoundScript] | None],
     ) -> FoundScript:
-        """Return the script with the gentlest ramps whose cost, by ``settle``, is at most ``enough``; ``best`` if none
-        is gentler.
+        """Return the script with the gentlest ramps whose cost, by ``settle``, is at most ``enough``.
 
-        The acceleration is lowered in steps, down to ``gentle_rps2`` at most.
+        The acceleration is lowered in steps, down to ``gentle_rps2`` at most. ``best`` is returned if no step succeeds.
         """
         steepest = max(limit.acceleration_rps2 for limit in self.limits.values())
         while steepest > self.gentle_rps2:
@@ -228,8 +227,8 @@ class Search:
     def _ranked(self, solve: Callable[[Shape], _Solved | None]) -> list[_Solved]:
         """Return the shapes that ``solve`` can solve and that may be the best, by cost; empty if there are none.
 
-        Those of nearly the least cost are sorted by their number of moves. If the best turns no axis at a slant,
-        slanted variants of it are tried, too.
+        Left out are those 5 % worse than the best. Those of nearly the least cost are sorted by their number of moves.
+        If the best turns there and back, slanted variants of it are tried, too.
         """
         solved = [s for ways in self._combinations() if (s := solve(self._shape(ways))) is not None]
         self.on_progress(f"{len(solved)} combinations of turns compared")
@@ -243,7 +242,10 @@ class Search:
         return sorted(near, key=lambda s: (max(s.cost, least + _WORTH), sum(way.moved for way in s.shape.ways)))
 
     def _slanted(self, best: _Solved, solve: Callable[[Shape], _Solved | None]) -> Iterator[_Solved]:
-        """Yield the best shape with one more way, about any direction of the body, where that is worth it."""
+        """Yield the solved shapes with the ways of the best and one more, where that saves more than 0.5 %.
+
+        In the further way, each inner axis is at 0, 45, -45 or 90 deg.
+        """
         for way in ways_of(self.gimbals, (0.0, _QUARTER, _EIGHTH, -_EIGHTH)):
             if way not in best.shape.ways:
                 more = solve(self._shape([*best.shape.ways, way]))
@@ -262,10 +264,10 @@ class Search:
                     yield from one_way(chosen)
 
     def _settled(self, shape: Shape) -> tuple[float, FoundScript] | None:
-        """Return the shortest script of a shape that reaches all sigmas under the complete noise, with its cost; else
-        None.
+        """Return the cost and the shortest script of a shape that reaches all sigmas under the complete noise.
 
-        The cost is the logarithm of its length.
+        The cost is the logarithm of its length in s. None if no script of the shape reaches them within ``LONGEST_S``,
+        or none was found in ten rounds.
         """
         factor = np.ones_like(self.needs.sd)
         found: FoundScript | None = None
@@ -302,7 +304,7 @@ def _listed(shape: Shape) -> str:
 def _shortest(shape: Shape, needs: Needs) -> _Solved | None:
     """Return the variables for the least time in which a shape reaches every sigma under white noise.
 
-    None if it cannot within ``LONGEST_S``.
+    The cost is the logarithm of that time in s. None if it cannot within ``LONGEST_S``.
     """
 
     def excess(v: Floats) -> Floats:
@@ -389,10 +391,10 @@ def _first_enough(shape: Shape, enough: Callable[[Floats], bool]) -> Floats | No
 def _minimum(
     cost: Callable[[Floats], tuple[float, Floats]], start: Floats, least: Floats, limits: Sequence[_Limit]
 ) -> Floats:
-    """Return the variables of least ``cost``, none below ``least``, under the conditions ``limits``, searched from
-    ``start``.
+    """Return the variables (v,) of least ``cost``, none below ``least`` (v,), under the conditions ``limits``.
 
-    ``cost`` and the conditions also give their derivatives. That the search ends without convergence is no error.
+    The search begins at ``start``. ``cost`` and the conditions also give their derivatives. That the search ends
+    without convergence is no error: the caller checks the conditions.
     """
     from scipy.optimize import minimize  # slow to import: only where a search is made
 

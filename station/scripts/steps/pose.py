@@ -49,7 +49,10 @@ class Pose(Step):
         return [Demand(aim.axis, self.rate_rps, aim.acceleration_rps2) for aim in self.aims]
 
     def problem(self) -> str:
-        """Return that no axis is stated, or a time that is none."""
+        """Return what is wrong: no axis is stated, or a time is not above zero; empty if nothing.
+
+        The time to settle may be zero.
+        """
         if not self.aims:
             return f"a pose states the angle of one axis or more: {', '.join(_AXES)}"
         if not (0 < self.duration_s < math.inf and 0 <= self.settle_s < math.inf):
@@ -85,7 +88,10 @@ class Pose(Step):
         return True
 
     def written(self, duration_s: float) -> Sequence[str]:
-        """Return the lines of a script file for this step; ``duration_s`` with its moves is told in a comment."""
+        """Return the lines of a script file for this step; ``duration_s`` with its moves is told in a comment.
+
+        The acceleration is the least of all axes.
+        """
         return (
             'kind = "pose"',
             *(f'{aim.axis} = "{math.degrees(aim.angle_rad):.10g} deg"' for aim in self.aims),

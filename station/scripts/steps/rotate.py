@@ -61,8 +61,9 @@ class Rotate(Step):
         return replace(self, acceleration_rps2=acceleration_rps2, duration_s=duration_s)
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return one part: the turn by the angle of the trapezoid, from where the axis stands in ``angles_rad`` (else
-        0).
+        """Return one part: the turn by the angle of the trapezoid, from where the axis stands.
+
+        That is its angle in ``angles_rad``, else 0.
         """
         from_rad = angles_rad.get(self.axis, 0.0)
         turn = Turn(
@@ -76,7 +77,7 @@ class Rotate(Step):
         return (Part.turning(turn),)
 
     def halved(self, limits: Mapping[str, AxisLimits]) -> "Rotate | None":
-        """Return a rotation of half the time, None if its ramps would take too much of it.
+        """Return a rotation of half the time, None if that is less than three of its ramps.
 
         Ramps of half the length make half of the turn: an even number of full turns stays whole. If the axis cannot
         accelerate that fast, the turn is smaller.

@@ -59,8 +59,9 @@ class Sine(Step):
 
 
 def _make(*, axis: str, amplitude_rad: float, frequency_hz: float, cycles: int, label: str) -> Sine:
-    """Return a swing from the keys of a script file, with the largest rate of the sine; ``amplitude_rad`` is to each
-    side.
+    """Return a swing from the keys of a script file, with the largest rate of the sine.
+
+    ``amplitude_rad`` is to each side. The acceleration makes each turn between the ends last half a cycle.
     """
     rate_rps = 2 * math.pi * frequency_hz * amplitude_rad
     half_cycle_s = 0.5 / frequency_hz

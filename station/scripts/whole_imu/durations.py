@@ -25,8 +25,9 @@ _OUTSIDE = 10.0  # cost of a sigma beyond its limit, per logarithm
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Times:
-    """The time of a script: ``fixed_s`` plus times v (p,) that each occur ``counts`` (p,) times, none below ``least``
-    or above ``most_s``.
+    """The time of a script: ``fixed_s`` plus times v (p,) that each occur ``counts`` (p,) times.
+
+    None is below ``least`` (p,) or above ``most_s``. All are in s.
     """
 
     fixed_s: float
@@ -62,7 +63,10 @@ class _Model:
 
     @classmethod
     def of(cls, u: Floats, logs: Floats, slopes: Floats) -> "_Model":
-        """Return the model with these values (r,) and slopes (r, p)."""
+        """Return the model that has the values ``logs`` (r,) and ``slopes`` (r, p) at ``u`` (p,).
+
+        A rising slope counts as none; a sigma that falls nowhere has equal shares.
+        """
         falls = np.maximum(-2 * slopes, 0.0)
         total = falls.sum(axis=1)
         variance = np.exp(2 * logs)
@@ -82,7 +86,8 @@ class _Model:
 def least_time(times: Times, start: Floats, excess: Callable[[Floats], Floats]) -> Floats:
     """Return the times (p,) of the least total for which no ``excess`` (r,) is above zero, as nearly as it is found.
 
-    ``excess`` gives the logarithms of the sigmas over their limits for times (p,).
+    ``excess`` gives the logarithms of the sigmas over their limits for times (p,). The search begins at ``start`` (p,).
+    The caller checks the result: it may miss limits.
     """
 
     def merit(v: Floats, logs: Floats) -> float:
@@ -96,7 +101,10 @@ def least_time(times: Times, start: Floats, excess: Callable[[Floats], Floats]) 
 
 
 def least_cost(times: Times, start: Floats, total_s: float, cost: Callable[[Floats], float]) -> Floats:
-    """Return the times (p,) of least ``cost``, the logarithm of a sigma, in ``total_s``."""
+    """Return the times (p,) of least ``cost``, the logarithm of a sigma, whose total is ``total_s``.
+
+    The search begins at ``start`` (p,), scaled to that total.
+    """
 
     def costs(v: Floats) -> Floats:
         return np.array([cost(v)])
@@ -121,7 +129,8 @@ def _by_models(
     """Return the times (p,) of the least ``merit`` that steps from model to model find, from ``start`` (p,).
 
     ``function`` gives the logarithms to be modelled at some times, ``merit(times, logarithms)`` is to be lowered, and
-    ``step(model, reach)`` gives the logarithms of the next times. A step that does not gain is made again, shorter.
+    ``step(model, reach)`` gives the logarithms of the next times. A step that does not gain is made again, shorter; the
+    search ends after six models or when one gains little.
     """
     v = start
     logs = function(v)
@@ -166,7 +175,10 @@ def _bounds(model: _Model, times: Times, reach: float) -> list[tuple[float, floa
 
 
 def _shortest(model: _Model, times: Times, reach: float) -> Floats:
-    """Return the variables of the least time with every sigma of a model within its limit, or as near as can be."""
+    """Return the variables of the least time with every sigma of a model within its limit, or as near as can be.
+
+    Variables are logarithms of times (p,), within ``reach`` of those about which the model was made.
+    """
     from scipy.optimize import minimize  # slow to import: only where a search is made
 
     # The last variable is by how much the limits are exceeded.

@@ -90,8 +90,9 @@ class Structure:
         return replace(self, limits=driven_limits(gentle))
 
     def described(self) -> str:
-        """Return in words about which axes, and with which angles of the others, the script turns, and its number of
-        poses.
+        """Return in words about which axes the script turns, how often, and its number of poses.
+
+        Angles of the inner axes are given where they are not at home.
         """
         turns = ", ".join(
             way.axis + "".join(f" with {axis} at {math.degrees(angle):g} deg" for axis, angle in way.pose if angle)
@@ -107,10 +108,9 @@ class Structure:
         return Script(name, tuple(self._steps(rounded * _TIME_STEP_S)))
 
     def _steps(self, v: Floats) -> Iterator[Step]:
-        """Yield the steps for variables v: rest, turns and poses in turn, rest.
+        """Yield the steps for variables v (s): rest, turns and poses in turn, moves home, rest.
 
-        Variables are the times of the turns, that of a pose and that of a rest, in s. Poses are spread over the gaps
-        between cycles.
+        Variables are as in the class. Poses are spread over the gaps between cycles; with one cycle they come after it.
         """
         rest_s = float(v[-1])
         angles = dict.fromkeys(self.gimbals, 0.0)
@@ -128,7 +128,10 @@ class Structure:
         yield Rest(rest_s, "rest after")
 
     def _turns(self, way: Way, turn_s: float) -> Iterator[Rotate]:
-        """Yield the turns of a way there and back, as often as its axis has to turn back within its travel."""
+        """Yield the turns of a way there and back, so often that each stays within the travel of its axis.
+
+        ``turn_s`` is the time of all turns in one direction together. The first goes to the side with more travel.
+        """
         limit = self.limits[way.axis]
         low, high = limit.travel_rad or (-math.inf, math.inf)
         room_rad = max(high, -low)
@@ -162,7 +165,10 @@ def _turned_rad(turn_s: float, limit: AxisLimits) -> float:
 
 
 def spanning(ways: Sequence[Way]) -> tuple[Way, ...]:
-    """Return the first of the ways that turn the body about directions of their own."""
+    """Return those of the ways that turn the body about a direction that the ways before cannot make up.
+
+    They are at most three.
+    """
     found: list[Way] = []
     for way in ways:
         directions = np.array([one.direction for one in (*found, way)])

@@ -49,7 +49,8 @@ class JointNeeds:
     def cost(self, prediction: Prediction, criterion: str) -> float:
         """Return the logarithm of the typical sigma of what is required, relative to the requirement.
 
-        Criterion "D" uses the determinants of the covariances, any other the mean of the variances.
+        Criterion "D" uses the determinants of the covariances, any other the mean of the variances. States without a
+        requirement do not count.
         """
         parts = [
             _relative(covariance, sd)
@@ -153,9 +154,10 @@ class WholeImuSearch:
         return self.with_poses(bare, poses)
 
     def _solved(self, structure: Structure, before: _Solved | None = None) -> _Solved | None:
-        """Return the best variables of a structure; None if there are none.
+        """Return the best variables of a structure, with its script; None if it does not reach the goal.
 
-        The search starts from those of ``before``, where it has the same variables.
+        The search starts from the variables of ``before`` where it has as many, each scaled to the same time in all.
+        The result is reported by ``on_progress``.
         """
         problem = _Problem(self, structure)
         start = structure.usual
@@ -169,7 +171,10 @@ class WholeImuSearch:
         return solved
 
     def _eased(self, best: _Solved) -> _Solved:
-        """Return the same with the gentlest ramps that cost nothing, no gentler than ``gentle_rps2``."""
+        """Return the same with gentler ramps if that costs nothing: of ``gentle_rps2``, else halfway to it.
+
+        ``best`` itself if neither does, or if its ramps are not steeper.
+        """
         steepest = max(limit.acceleration_rps2 for limit in best.structure.limits.values())
         if self.gentle_rps2 >= steepest:
             return best
@@ -201,6 +206,7 @@ class _Problem:
     """The search for the variables of one structure."""
 
     def __init__(self, search: WholeImuSearch, structure: Structure) -> None:
+        """Compute how the times of ``structure`` make up that of a script; nothing is searched."""
         self._search = search
         self._structure = structure
         self._times = Times(
@@ -233,8 +239,9 @@ class _Problem:
         return least_time(self._times, start, lambda v: self._search.needs.excess(self._predicted(v)) + beyond)
 
     def _lengthened(self, v: Floats) -> _Solved | None:
-        """Return the script with these times, or longer ones with which every sigma is reached; None if there are
-        none.
+        """Return the script with these times, or with longer ones with which every sigma is reached.
+
+        None if there are none up to ``LONGEST_S``, or if a sigma is too far beyond its limit.
         """
         longer = 0.0
         for _ in range(_MOST_LONGER):
@@ -250,8 +257,9 @@ class _Problem:
         return None
 
     def best_within(self, start: Floats, total_s: float) -> _Solved | None:
-        """Return the variables of the least criterion in ``total_s``, searched from ``start``; None if it does not fit
-        in.
+        """Return the variables of the least criterion in ``total_s``, searched from ``start`` (p,).
+
+        None if the least times do not fit in. Whether the sigmas are reached does not matter.
         """
         structure = self._structure
         needs, criterion = self._search.needs, self._search.criterion
