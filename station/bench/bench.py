@@ -103,7 +103,7 @@ class Limits:
 
     @property
     def stated(self) -> bool:
-        """Whether any limit is given, other than the least that any result meets."""
+        """Whether any limit is given. A least NIS of 0 and a loss of 1 are none, as any result meets them."""
         least = (self.nis_low, 1 - self.lost)
         return (
             any(map(math.isfinite, (*self.sizes, *self.sds)))
@@ -261,7 +261,10 @@ def read_bench(
 
 
 def _command(words: Sequence[str], folder: Path) -> tuple[str, ...]:
-    """Return a program and its arguments; a program with a relative path counts from the folder of the bench file."""
+    """Return a program and its arguments; empty without one.
+
+    A program whose name has a "/" and no absolute path counts from the folder of the bench file.
+    """
     program, *arguments = words or ("",)
     if not program:
         return ()

@@ -94,10 +94,9 @@ def read_source(table: Table, units: tuple[tuple[str, str], ...], name: str) -> 
 
 
 def read_units(table: Table) -> tuple[tuple[str, str], ...]:
-    """Return the stated (quantity, unit) of a mapping, for quantities whose units the DBC lacks; unstated ones are left
-    out.
+    """Return the stated (quantity, unit) of a mapping, for quantities whose units the DBC lacks.
 
-    The table's error for an unknown unit.
+    Unstated ones are left out. The table's error for an unknown unit.
     """
     units = {quantity: unit for quantity, unit in table.read_all("can_mapping.units").items() if unit is not None}
     for quantity, unit in units.items():

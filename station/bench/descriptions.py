@@ -28,7 +28,7 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
     """Return a description by name, of those in the package, or by the path of a .toml file.
 
     A relative path counts from ``folder``, by default the working folder. Its single source is named ``device``.
-    DescriptionError if it is missing or invalid.
+    DescriptionError if it is missing or invalid, also for fields that overlap.
     """
     from cantools.database import Database, Message
     from cantools.database.errors import Error
@@ -60,8 +60,8 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
 def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChannel:
     """Return the source with the full names of its signals, which are ``signals`` by name.
 
-    The table's error if one is missing or a quantity lacks a unit (a temperature needs none). Counter and time must be
-    integers, and only one of them may be given.
+    The table's error if one is missing, a quantity lacks a unit (a temperature needs none), counter or time is not an
+    integer, or both are given.
     """
     full: dict[str, Any] = {}
     for key in ("rate", "acceleration", "temperature", "counter", "time"):
@@ -124,8 +124,7 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
 
 
 def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
-    """Return the framing and the signals of a table [line], and the source with its wrap converted to the stored
-    integer.
+    """Return the framing and the signals of a table [line], and the source with its wrap as a stored integer.
 
     Columns named "-" are skipped. The table's error if a name occurs twice, the separator is empty or the check
     unknown.
@@ -157,7 +156,7 @@ def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChanne
 def _check(table: Table) -> tuple[Check, dict[str, Any]]:
     """Return the checksum of a table, by name or as a CRC, and the values of the table, which say where it stands.
 
-    The table's error for an unknown name, none of both, or constants with too many bits.
+    The table's error for an unknown name, for neither of both, or for constants with too many bits.
     """
     own, known = table.read_all("description.check"), packaged_toml("drivers", "codes.toml")["check"]
     if own["name"] in known:

@@ -73,7 +73,8 @@ class OtherFile:
 def command_calibrate(arguments: argparse.Namespace) -> int:
     """Calibrate each recording, print the results, and return the worst exit code.
 
-    Files of the station that are not recordings are skipped if a folder was named, else an error.
+    With --join all are calibrated together. A recording that fails does not keep the others. Files of the station that
+    are not recordings are skipped if a folder was named, else an error.
     """
     names = recordings_of(arguments.recordings)
     if arguments.join:
@@ -146,12 +147,13 @@ def estimate(
 ) -> Estimated | OtherFile:
     """Calibrate the recording ``name`` and judge it, by the limits of its own bench file unless ``limits`` are given.
 
-    ``model`` has effects to estimate with the states; ``undeclared`` holds the effects that a file rules out. With
-    ``write`` the calibration is stored in the recording. A recording of a run that was aborted, failed or was driven by
-    hand gives a result without estimate; another file of the station gives an OtherFile.
+    ``model`` has effects to estimate with the states. ``undeclared`` holds one value, the effects that a file rules
+    out, or None. With ``write`` the calibration is stored in the recording. Another file of the station gives an
+    OtherFile.
 
-    EstimatorError if the recording cannot be used; UsageError for limits that cannot be read; RecordingError if it
-    cannot be written to.
+    A recording that cannot be estimated gives a result without estimate if its run was aborted, failed or was driven by
+    hand, and no model is given; else EstimatorError. UsageError for limits that cannot be read; RecordingError if the
+    file cannot be written to.
     """
     try:
         recording = read_recording(Path(name))
@@ -185,8 +187,9 @@ def estimate(
 
 
 def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> Estimated:
-    """Return the result of a run that ended before it could be estimated; raise ``error`` if its outcome does not
-    explain it.
+    """Return the result of a run that ended before it could be estimated.
+
+    ``error`` says why; it is raised if the outcome in ``attributes`` does not explain it: none, PASS or ESTIMATED.
     """
     ended = ended_of(attributes)
     if ended is None or ended.outcome in _ESTIMATED:
@@ -250,8 +253,9 @@ def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
 
 
 def _comparable(ends: Sequence[End]) -> list[list[tuple[str, Estimated]]]:
-    """Return groups of runs that may be compared, by the rule of ``station history``; FAIL and runs without estimate
-    are out.
+    """Return groups of runs that may be compared, by the rule of ``station history``; a group may be one run.
+
+    Left out are failures, FAIL, runs without an estimate, and those that nothing may be compared with.
     """
     groups: dict[tuple[object, ...], list[tuple[str, Estimated]]] = {}
     for name, end in ends:
@@ -270,8 +274,9 @@ def _repeats(runs: Sequence[tuple[str, Estimated]]) -> list[Repeatability]:
 
 
 def _print_overview(judged: Sequence[tuple[str, Estimated]], folder: str) -> None:
-    """Print one line per recording: device, verdict, quality; then the reasons, each with the recordings it
-    applies to.
+    """Print one line per recording: device, verdict, quality; then the reasons, each with its recordings.
+
+    Paths are relative to ``folder``.
     """
     rows = []
     reasons: dict[str, list[str]] = {}

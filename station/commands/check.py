@@ -32,8 +32,9 @@ def print_computer(findings: Sequence[Finding]) -> None:
 
 
 def command_check(arguments: argparse.Namespace) -> int:
-    """Check every used device of a bench, and this computer; print the answers, return 0 if nothing is wrong,
-    else 4.
+    """Check every used device of a bench, and this computer; print the answers.
+
+    Return 0 if nothing is wrong, else 4.
     """
 
     def tell(device: str) -> None:

@@ -42,6 +42,8 @@ async def drive(
     """Run a script on a bench into the recording ``path``; return the result.
 
     Progress goes to stderr unless ``quiet``, and to the clients of ``host``, who are told ``bench_file`` as well.
+    Errors before the run are raised: BenchError, DeviceRefused for a link in use, RecordingError. Those of the run are
+    in its verdict.
     """
     async with AsyncExitStack() as stack:
         stack.enter_context(patient_streams())
@@ -62,7 +64,10 @@ async def drive(
 
 
 def chosen_bench(arguments: argparse.Namespace) -> Bench:
-    """Return the bench of the options --bench, --link, --device and --seed; UsageError for a malformed link."""
+    """Return the bench of the options --bench, --link, --device and --seed, the built-in one without --bench.
+
+    UsageError for a link without "=", BenchError for an invalid file or a device that it does not have.
+    """
     bench = load_bench(Path(arguments.bench) if arguments.bench else None)
     links = {}
     for text in arguments.link:

@@ -65,7 +65,7 @@ class ImuSamples:
 
 
 async def samples_on(opened: OpenBench) -> ImuSamples:
-    """Return nine seconds of the IMU's samples, at rest and then turning; its exceptions are stored, not raised."""
+    """Return nine seconds of the IMU's samples, at rest and then turning; errors of opening and reading are stored."""
     table, source = opened.table, opened.imus[0].source
     heard = ImuSamples(opened.imus[0].config)
 
@@ -206,7 +206,8 @@ async def _late(opened: OpenBench) -> str:
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
-    """Call the table's method ``how`` at ``at_s`` (loop time) while all axes turn; say if one still turns after it."""
+    """Call the table's ``how`` while all axes turn, at ``at_s`` (loop time) or later; say if one turns after it, or "".
+    """
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)

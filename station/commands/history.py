@@ -139,7 +139,10 @@ def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
 
 
 async def _listed(folder: Path, quiet: bool) -> list[Entry]:
-    """Return the recordings of a folder, newest first; progress is shown while new ones are read, unless ``quiet``."""
+    """Return the recordings of a folder, newest first.
+
+    Progress is shown while new ones are read, unless ``quiet``.
+    """
     archive, found, bar = Archive(), [], None
     with ExitStack() as stack:
         async for entry in archive.entries(folder):
@@ -153,7 +156,10 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
 
 
 def _chart(runs: Sequence[Entry]) -> ChartView:
-    """Return control charts of runs of one script on one bench. Failed runs set no limits."""
+    """Return control charts of runs of one script on one bench, at least one run, in the order given.
+
+    Failed runs set no limits.
+    """
     counted = [not run.failed for run in runs]
     return ChartView(
         bench=runs[0].texts["station"],

@@ -70,8 +70,9 @@ def _print_pose_session(session: PoseSession, path: Path, *, as_json: bool) -> N
 
 
 def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
-    """Print the result of an import: notes, samples per source, and what was refused; all as one object if
-    ``as_json``.
+    """Print the result of an import: notes, samples per source, and what was refused, the latter on stderr.
+
+    With ``as_json`` all are one object on stdout.
     """
     samples = {name: len(data.t_ns) for name, data in imported.recording.sources.items()}
     refused = [{"name": entry.name, "reason": entry.reason} for entry in imported.refused]

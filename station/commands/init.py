@@ -28,8 +28,10 @@ from station.scripts.script import check, paper_script
 
 
 def command_init(arguments: argparse.Namespace) -> int:
-    """Ask about the bench, write the bench file, and print the next commands; return 3 if the questions were not
-    finished.
+    """Ask about the bench, write the bench file, and print the next commands; return 0.
+
+    Return 3 if the questions were not finished; then nothing is written. UsageError for wrong options or a place that
+    cannot be written to.
     """
     path = Path(arguments.file)
     try:
@@ -55,8 +57,9 @@ def _check_options(arguments: argparse.Namespace) -> None:
 
 
 def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
-    """Check, before anything is asked, that the file can be written; UsageError if not, or if overwriting is
-    declined.
+    """Check, before anything is asked, that the file can be written; UsageError if not.
+
+    A file that exists is overwritten with ``force``, or if the person at ``dialogue`` agrees; else UsageError.
     """
     if path.is_dir():
         raise UsageError(f"{path} is a folder. Give the name of a file")

@@ -48,8 +48,9 @@ class Limits:
 def command_investigate(arguments: argparse.Namespace) -> int:
     """Look for errors that the model misses, and write picture, results and next script as asked for.
 
-    Return 0 if nothing was found or the effects were added, 1 if causes cannot be separated or explained, 2 for bad
-    input.
+    Return 0 if nothing was found or the effects were added, 1 if causes cannot be separated or explained, or if
+    accelerometers have suspects. UsageError for bad input. A next script is written without being asked for, too, where
+    there is one.
     """
     picture, model, script_file = _outputs(arguments)
     arguments.recordings, arguments.verify = recordings_of(arguments.recordings), recordings_of(arguments.verify)
@@ -116,8 +117,9 @@ def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
 
 
 def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
-    """Return the limits of the table from a bench file, else from the first recording that carries a bench; None if
-    neither.
+    """Return the limits of the table from a bench file, else from the first recording that carries a bench.
+
+    None if there is neither. Recordings without a table do not count.
     """
     if bench is not None:
         return Limits(load_bench(bench).table.limits, str(bench))
@@ -140,9 +142,10 @@ def following_script(
     limits: Limits | None,
     most_s: float = math.inf,
 ) -> NextScript | None:
-    """Return the script to drive next, of at most ``most_s``; None if the finding is settled or no table is known.
+    """Return the script to drive next, of at most ``most_s``, that separates the causes which are left.
 
-    UsageError if the limits are those of another table.
+    None if the finding is settled, the limits are unknown, no recording was made on a table, or no script helps.
+    UsageError if the limits lack an axis about which the recordings turn.
     """
     fitted, judging = ([r for r in own if r.table is not None] for own in (recordings, verification))
     if limits is None or not fitted or investigation.finding in (Finding.NOTHING, Finding.ADDED):
@@ -177,10 +180,11 @@ def _why_none(recordings: Sequence[Recording], limits: Limits | None) -> str:
 
 
 def _suspects(investigation: Investigation) -> tuple[str, ...]:
-    """Return effects of the catalogue that may explain the unexplained residual, by name; those most like it first.
+    """Return effects of the catalogue that may explain the unexplained residual, by name.
 
-    These are the effects that are suspected of what the residual depends on. If there are none, or nothing is
-    unexplained, the suspects of the investigation with the most evidence, at most ``_MOST_RIVALS``.
+    These are the effects that are suspected of what the residual depends on, those that mainly depend on it first. If
+    there are none, or nothing is unexplained, the suspects of the investigation with the most evidence, at most
+    ``_MOST_RIVALS``.
     """
     variable = "" if investigation.unexplained is None else investigation.unexplained.depends_on
     of_its_kind = [record for record in records() if variable in record.suspected_of]

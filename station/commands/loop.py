@@ -67,8 +67,9 @@ class _Driver:
         self._runner, self._loop = runner, loop
 
     def drive(self, purpose: str, script: Script) -> bool:
-        """Drive a script; return False if the run was aborted or in fault, with its verdict in ``stopped`` of the
-        loop.
+        """Drive a script, and add the run to the loop; return False if it was aborted or in fault.
+
+        Its verdict is then ``stopped`` of the loop. The recording is named by number and ``purpose``.
         """
         loop, number = self._loop, len(self._loop.runs) + 1
         if not self.arguments.json:
@@ -92,8 +93,10 @@ class _Driver:
 
 
 def _close(loop: Loop, scripts: Sequence[tuple[str, Script]], driver: _Driver) -> None:
-    """Drive the first scripts, then investigate and drive the next script, until it is settled or the time is
-    used up.
+    """Drive the first scripts, then investigate and drive the next script, again and again.
+
+    It ends when the matter is settled, the time is used up, or a run is aborted or in fault. The loop gets the runs,
+    the rounds and, except after such a run, why it ended.
     """
     for purpose, script in scripts:
         if not driver.drive(purpose, script):
@@ -106,9 +109,9 @@ def _close(loop: Loop, scripts: Sequence[tuple[str, Script]], driver: _Driver) -
 
 
 def _investigate(loop: Loop, driver: _Driver) -> Round:
-    """Investigate the recordings so far; if causes cannot be separated, find and write the next script.
+    """Investigate the recordings so far; if causes cannot be told apart, find and write the next script.
 
-    The round has no script if the finding is settled, or none fits into the time that is left.
+    The round has no script for any other finding, nor if none fits into the time that is left.
     """
     fitted, judging = (
         [read_recording(path, trusted=True) for path in loop.recordings(judging=j)] for j in (False, True)
@@ -138,8 +141,9 @@ def _why_ended(turn: Round, left_s: float) -> str:
 
 
 def _first_scripts(bench: Bench, budget_s: float) -> list[tuple[str, Script]]:
-    """Return the three runs of every loop; UsageError if the budget is too short, ScriptError if the table cannot drive
-    them.
+    """Return the three runs of every loop, each with its purpose.
+
+    UsageError if the budget is too short, ScriptError if the table cannot drive them.
     """
     first = {CALIBRATION: paper_script(), EXPLORATION: exploration_script(), VERIFICATION: verification_script()}
     scripts = [(name, check(script, bench.table.limits)) for name, script in first.items()]
@@ -150,7 +154,7 @@ def _first_scripts(bench: Bench, budget_s: float) -> list[tuple[str, Script]]:
 
 
 def _folder(name: str | None) -> Path:
-    """Return the folder to make."""
+    """Return the folder ``name`` to make, by default a new one named by the time; UsageError if it exists."""
     if name is not None:
         if Path(name).exists():
             raise UsageError(f"--output {name} exists already. Give another name")

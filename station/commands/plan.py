@@ -71,10 +71,9 @@ def early_late_plan(plan: Plan) -> Plan | None:
 
 
 def _write_early_late(arguments: argparse.Namespace, plan: Plan) -> int:
-    """Write the script that turns each axis early and late, and print its sigmas; return 1, with the reason, if there
-    is none.
+    """Write the script that turns each axis early and late, and print its sigmas; return 0.
 
-    UsageError if the file exists.
+    Return 1, with the reason, if there is none. UsageError if the file exists.
     """
     path = Path(arguments.output) if arguments.output else free_path(Path(EARLY_LATE_FILE))
     check_new_file(path, "--output")

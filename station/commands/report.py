@@ -24,7 +24,7 @@ def command_report(arguments: argparse.Namespace) -> int:
     """Write a recording's report as HTML and, if asked for, PDF and digital certificate; print the result.
 
     Return 0, or 2 if PDF or certificate could not be made: the HTML is written all the same. The document is entered
-    into the register of the folder, which refuses a number that is taken.
+    into the register of the folder before. UsageError for wrong options, files that exist, and a number that is taken.
     """
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
@@ -89,7 +89,10 @@ def _recorded(arguments: argparse.Namespace) -> "Recorded":
 
 
 def _result_object(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
-    """Return the report's own statements for --json: title, number, outcome, hashes."""
+    """Return the report's own statements for --json: title, number, outcome, hashes.
+
+    Outcome and reason are None without a verdict.
+    """
     return {
         "title": report.standing.title,
         "number": report.number,
@@ -135,8 +138,9 @@ def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: b
 
 
 def _print_documents(report: "Report", html: Path, made: Sequence[str | None], steps: Sequence[str]) -> None:
-    """Print what was written, warnings, and the next steps; ``made`` are PDF and digital certificate, None where
-    missing.
+    """Print what was written, warnings, and the next ``steps``.
+
+    ``made`` are the paths of PDF and digital certificate, None where missing.
     """
     standing = report.standing
     tell(harmless(f"{standing.title} No. {report.number}"))

@@ -30,8 +30,9 @@ def command_ui(arguments: argparse.Namespace) -> int:
 
 
 def _check_terminal() -> None:
-    """Check that stdin, stdout and stderr are a terminal that can show the screen, in UTF-8; UsageError with a remedy
-    if not.
+    """Check that stdin, stdout and stderr are a terminal that can show the screen, in UTF-8.
+
+    UsageError with a remedy if not.
     """
     if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
         raise UsageError("station ui needs a terminal. Without one use station run, or station ui --web")

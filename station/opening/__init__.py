@@ -201,10 +201,9 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
 
 
 async def _table_driver(bench: Bench, twins: Twins, time_scale: float) -> tuple[Turntable, bytes]:
-    """Return the driver of the table, and the pickle that rebuilds it in another process; empty for a twin and on
-    Windows.
+    """Return the driver of the table, and the pickle that rebuilds it in another process; a twin is started.
 
-    The twin is started. BenchError for an invalid link.
+    The pickle is empty for a twin and on Windows. BenchError for an invalid link.
     """
     config = bench.table
     spec = config.spec
@@ -222,7 +221,8 @@ async def _table_driver(bench: Bench, twins: Twins, time_scale: float) -> tuple[
 def _other_driver(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
     """Return the driver of a device of another kind, with the pickle that rebuilds it in another process.
 
-    The pickle is empty unless it has to be made safe, and for a twin and on Windows. The twin is started.
+    The pickle is empty unless it has to be made safe, and for a twin and on Windows. A twin is started. BenchError for
+    an invalid link, PluginError for a kind of device without a twin.
     """
     spec = config.spec
     setup = DeviceSetup(
@@ -239,7 +239,10 @@ def _other_driver(config: DeviceConfig, twins: Twins, time_scale: float) -> Open
 
 
 async def _imu_driver(imu: ImuConfig, twins: Twins, time_scale: float) -> OpenImu:
-    """Return the driver of a device under test, or of its twin, with its link counted; the link is not yet open."""
+    """Return the driver of a device under test, with its link counted; the link is not yet open.
+
+    A twin is started. BenchError for an invalid link.
+    """
     spec = imu.spec
     link: Any
     if imu.link == TWIN:

@@ -140,11 +140,10 @@ def _datagram(data: stim300.Datagrams) -> Columns:
 
 
 def _vectornav(raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return fields by group.field, those of VNIMU sentences likewise, and ``time`` (s) since start-up if that is
-    there.
+    """Return fields by group.field, those of VNIMU sentences likewise, and notes on damaged messages.
 
-    Sentences are used only if no frame has the first of ``names``; else frames without that are left out. Also notes on
-    damaged messages.
+    ``time`` (s) is since start-up, if that was sent. Sentences are used only if no frame has the first of ``names``;
+    else frames without that are left out.
     """
     decoder = VectorNavDecoder()
     pieces: list[Columns] = []

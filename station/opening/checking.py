@@ -289,7 +289,10 @@ _OF_KIND: Mapping[str, Callable[[OpenBench, OpenDevice, float], Awaitable[Device
 
 
 async def _blocks_received(source: ImuSource, duration_s: float) -> dict[str, list[ImuBlock]]:
-    """Return the blocks of each source received within ``duration_s``, held ones included."""
+    """Return by source the blocks received within ``duration_s``, held ones included; silent ones are left out.
+
+    Errors of the driver pass through.
+    """
     blocks: dict[str, list[ImuBlock]] = {}
     try:
         async with asyncio.timeout(duration_s):
@@ -350,9 +353,9 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
 
 
 def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
-    """Yield what is wrong with a source that sends: its rate, else losses; and gyros with invalid rates, or too large
-    ones at rest.
+    """Yield what is wrong with a source that sends: its rate, or else losses; then its gyros.
 
+    A rate is wrong by more than 2 %. A gyro is wrong if it sends no valid rate, or more than 20 deg/s at rest.
     ``counted``: its samples carry a count or clock; without, losses may explain a wrong rate.
     """
     who, prefix = ("it", "") if check.name == config.name else (check.name, f"{check.name}: ")

@@ -29,11 +29,11 @@ _BUS = "can0"
 async def serve_twins(
     bench: Bench, *, time_scale: float, host: str, port: int, announce: Callable[[str], None]
 ) -> None:
-    """Serve every twin of the bench on real ports until cancelled; ``announce`` gets a line of JSON for each, then
-    ready.
+    """Serve every twin of the bench on real ports until cancelled.
 
-    ``host`` is the address to listen on, ``port`` that of the table, 0 for any. [twin.wires] of the bench file says
-    what each is served on. ``time_scale`` is how fast the clock of the twins runs.
+    ``announce`` gets a line of JSON for each, then one that says that all are ready. ``host`` is the address to listen
+    on, ``port`` that of the table, 0 for any. [twin.wires] of the bench file says what each is served on.
+    ``time_scale`` is how fast the clock of the twins runs.
     """
     async with AsyncExitStack() as stack:
         serving = Serving(Twins(bench, stack, time_scale), stack, host)
@@ -142,10 +142,9 @@ class Serving:
         return f"serial://{name}"
 
     async def _tcp(self, device: str, make: Callable[[Write], ByteDevice], port: int) -> str:
-        """Serve a device at a ``port`` of the host, 0 for a free one, on TCP with the faults of its wire; return its
-        link.
+        """Serve a device on TCP with the faults of its wire; return its link.
 
-        DeviceError if the port is taken.
+        ``port`` is one of the host, 0 for a free one. DeviceError if it is taken.
         """
         plug = Plug()
         try:

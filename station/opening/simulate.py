@@ -74,7 +74,7 @@ def simulate(
     and table; the recording does not mention them. Stamps begin at 0, when the bench clock, which temperature and
     hidden effects follow, is at ``started_s``: runs of one session follow each other. ``mounts`` replaces the mounting
     and truth of each device; ``forces`` states the accelerometers of those that have some. ValueError without
-    devices.
+    devices; HiddenError if the hidden effects do not fit a device.
     """
     moves = [
         TimedMove(start_s, turn.axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
@@ -115,7 +115,10 @@ def simulate(
 
 
 def _samples(name: str, device: DeviceTruth, run: DirectRun, felt: SimulatedForces | None) -> ImuData:
-    """Return the samples of a device, with those of its accelerometers if it has some."""
+    """Return the samples of a device from its ``run``, with those of its accelerometers if it ``felt`` any.
+
+    These lie along its first three gyros.
+    """
     data = ImuData(
         device.array,
         run.t_ns,
@@ -177,8 +180,9 @@ def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
 
 
 def _stated_truth(device: DeviceTruth) -> tuple[Mounting, GyroTruth]:
-    """Return the mounting and the truth that a device states itself; a kind of array is mounted as that on the bench
-    is.
+    """Return the mounting and the truth that a device states itself.
+
+    One that names a ``kind`` of array is mounted as that on the bench is, else as its array says.
     """
     mounting = mounted(MOUNTS_DEG[device.kind]) if device.kind else None
     k, b_rps, sigma_j, sigma_k = device.states.T

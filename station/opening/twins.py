@@ -90,10 +90,9 @@ class Twins:
             self._later(fault.at_s, partial(fault.strike, self.table, limits_trip=bench.table.spec.limits_trip))
 
     async def serve_table(self, address: tuple[str, int]) -> Any:
-        """Serve the table's controller on Modbus TCP at a host and port, with the faults of its wire; return pymodbus's
-        server.
+        """Serve the table's controller on Modbus TCP at a host and port, with the faults of its wire.
 
-        It ends with the bench. DeviceError if the port is taken.
+        Returns pymodbus's server, which ends with the bench. DeviceError if the port is taken.
         """
         faults = self._faults.wires["table"]
         wire = FaultyModbus(faults, self._seed("table")) if faults.any else None
@@ -122,7 +121,7 @@ class Twins:
         )
 
     def table_device(self, write: Write) -> ByteDevice:
-        """Return the table's controller, or the drives on a serial line, which writes with ``write``.
+        """Return the table's controller, or the drives on a serial line, which answers by calling ``write(data)``.
 
         A fault may replace it later by another one; the axes are then stopped.
         """
@@ -146,9 +145,10 @@ class Twins:
         return address
 
     def imu_device(self, imu: ImuConfig, out: Write | FrameSink) -> Any:
-        """Return the twin of an IMU, which sends to ``out`` from now on.
+        """Return the twin of an IMU, which sends to ``out`` from now on: bytes to a function, frames to a bus.
 
         The faults of the bench begin and end at their times, and at that of ``another_s`` another twin takes its place.
+        Its tasks end with the bench.
         """
         faults = self._faults.devices[imu.name]
         knobs = NodeFaults(clock_ppm=faults.clock_ppm, seed=self.bench.twin.seed)
@@ -249,8 +249,9 @@ class Twins:
         return self._wires[device]
 
     def _read_wires(self, table: Table) -> dict[str, str]:
-        """Return the kind of link to serve each device on, by the ``table`` [twin.wires] or by default; its error if
-        unknown.
+        """Return by device the kind of link to serve it on, from the table [twin.wires] or by default.
+
+        A device on CAN may have any link that begins with "can:". The table's error for an unknown kind.
         """
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
@@ -265,7 +266,10 @@ class Twins:
         return wires
 
     def _up(self, imu: ImuConfig) -> Callable[[Floats], Floats]:
-        """Return the direction up along the axes of a device (n, 3), which are those of its first three gyros."""
+        """Return a function of instants (n,) in s: the direction up (n, 3) along the first three gyros of a device.
+
+        If the bench states errors of its accelerometers, their outputs in standard g take its place.
+        """
         mounting = self._mounts[imu.name]
         p = mounting.p[:3]
         stated = self._forces[imu.name]
@@ -310,8 +314,9 @@ class Twins:
 
 
 def hidden_of(bench: Bench) -> Hidden | None:
-    """Return the hidden effects of a bench, None if it has none; BenchError for an invalid file or an unknown
-    device.
+    """Return the hidden effects of a bench, None if it has none.
+
+    BenchError for an invalid file, or one that names a device the bench does not have.
     """
     if bench.twin.hidden is None:
         return None
@@ -327,8 +332,9 @@ def hidden_of(bench: Bench) -> Hidden | None:
 
 
 def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
-    """Return the true errors of a device's gyros from its table in ``truths``; its angle random walk is by default that
-    of its data sheet.
+    """Return the true errors of a device's gyros from its table in ``truths``.
+
+    The angle random walk is by default that of its data sheet. The table's error for an invalid key.
     """
     table = truths.table(imu.name, optional=True)
     own = table.read_all("bench.truth", list_length=len(imu.array))
@@ -340,10 +346,9 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
 
 
 def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[AccelerometerTruth, float] | None:
-    """Return the true errors of the accelerometers of a device and its true gravity in m/s2; None if the bench states
-    none.
+    """Return the true errors of the accelerometers of a device, and its true gravity in m/s2.
 
-    Gravity is by default that of the site, else the standard one.
+    None if the bench states none. Gravity is by default that of the site, else the standard one.
     """
     section = truths.again().table(imu.name, optional=True).value("accelerometers", None)
     if section is None:

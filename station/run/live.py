@@ -33,8 +33,10 @@ class LiveEstimate:
     """
 
     def __init__(self, gimbals: tuple[str, ...], site: Site | None) -> None:
-        """Start without sources or readings; ``gimbals`` are named outermost first, without a ``site`` Earth rate is
-        left out.
+        """Start without sources or readings; the caller fills ``sources``.
+
+        ``gimbals`` are named outermost first. Without a ``site`` Earth rate is left out, and gravity is the standard
+        one.
         """
         self.rates = BodyRates(gimbals, site)
         self.sources: dict[str, LiveSource] = {}

@@ -468,11 +468,11 @@ class Session:
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:
-    """Return the attributes of the recording: software, bench, script, devices, operator, clock; empty ones are left
-    out.
+    """Return the attributes of the recording: software, bench, script, devices, operator, clock.
 
-    The outcome is ABORTED so far. In virtual time an identity made of all that takes the place of the clock, so that
-    equal runs are equal.
+    Operator, serial number, plug-ins and model are left out if empty, and the site if there is none. The outcome is
+    ABORTED so far. In virtual time an identity made of all that takes the place of the clock, so that equal runs are
+    equal.
     """
     config = bench.bench
     links = [axis.link or config.table.link for axis in config.table.axes.values()]

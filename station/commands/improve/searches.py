@@ -21,7 +21,7 @@ _GYRO_WAYS = 2
 
 
 def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> Search:
-    """Return the search for a script for the gyros of the bench's used devices.
+    """Return the search for a script for the gyros of the bench's used devices; UsageError if none is used.
 
     ``on_progress`` gets a line of text now and then.
     """
@@ -49,8 +49,9 @@ def search_of(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) 
 def whole_imu_search(bench: Bench, wanted: Wanted, on_progress: Callable[[str], None]) -> WholeImuSearch:
     """Return the search for a script for gyros and accelerometers of the bench's used devices.
 
-    It tries the first turns about as many directions as the table has and, if sigmas of gyros are wanted, those best
-    for gyros alone. ``on_progress`` gets a line of text now and then.
+    It tries one set of turns, about as many directions as the table has, and, if sigmas of gyros are wanted, the two
+    sets best for gyros alone. Turns beyond the travel of an axis are left out. ``on_progress`` gets a line of text now
+    and then.
     """
     gimbals = bench.table.gimbals
     turns = [spanning(ways_within(ways_of(gimbals, (0.0, math.pi / 2)), bench.table.limits))]
