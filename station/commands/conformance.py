@@ -206,8 +206,7 @@ async def _late(opened: OpenBench) -> str:
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
-    """Call the table's ``how`` while all axes turn, at ``at_s`` (loop time) or later; say if one turns after it, or "".
-    """
+    """Call the table's ``how`` while all axes turn, at ``at_s`` (loop time) or later; say if one turns after it."""
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)

@@ -74,7 +74,10 @@ def _bench_sds(bench: Bench) -> tuple[Floats, Floats]:
 
 
 def _script_sds(bench: Bench, script: Script) -> tuple[Floats, Floats]:
-    """Return the sigmas that a script reaches: of gyros (n, 4) and of accelerometers (m, 7), infinite if not shown."""
+    """Return the sigmas that a script reaches: of gyros (n, 4) and of accelerometers (m, 7).
+
+    They are infinite where the script hardly betters the data sheet. ScriptError if the table cannot do it.
+    """
     prediction = predict(check(script, bench.table.limits), bench)
     gyro_prior = [np.tile(np.sqrt(imu.prior.variances()), (len(imu.array), 1)) for imu in used_imus(bench)]
     force_prior = [

@@ -83,8 +83,8 @@ class HostWatch:
     def blame(self, error: DeviceError, *, served_here: bool) -> DeviceError:
         """Return an error that blames this computer if it may be at fault, else ``error`` itself.
 
-        Only lost links and late arrivals may be its fault: if it fell behind by 0.1 s shortly before, or if a program
-        of its own answers for the device (``served_here``) and its processors are crowded.
+        Only lost links and late arrivals may be its fault: if it fell behind by 0.1 s in the last two seconds, or if a
+        program on it answers for the device (``served_here``) and its processors are crowded.
         """
         if not isinstance(error, LinkLost | Overdue):
             return error
