@@ -273,7 +273,10 @@ def _command(words: Sequence[str], folder: Path) -> tuple[str, ...]:
 
 
 def _distinct(imus: Sequence[ImuConfig]) -> tuple[ImuConfig, ...]:
-    """Return the devices with sources of different names: a name that occurs twice gets the device's name as prefix."""
+    """Return the devices with sources of different names: a name that occurs twice gets the device's name as prefix.
+
+    Sources that have the name of their device, and devices without stated signals, are left as they are.
+    """
     seen = Counter(channel.name for imu in imus if imu.can is not None for channel in imu.can.channels)
     seen.update(imu.name for imu in imus)
     found = []

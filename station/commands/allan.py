@@ -26,7 +26,7 @@ _MOST_UNCERTAIN = 0.5  # above it the square root of the Fisher information is m
 
 
 def command_allan(arguments: argparse.Namespace) -> int:
-    """Print N, B and K of every sensor of a recording at rest; return 0.
+    """Print N, B and K (white noise, instability, random walk) of every sensor of a recording at rest; return 0.
 
     A sensor that cannot be used is named on stderr; RecordingError if none can. With --plot a picture is drawn, too.
     """

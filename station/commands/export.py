@@ -63,7 +63,10 @@ def command_export(arguments: argparse.Namespace) -> int:
 
 
 def _export_series(arguments: argparse.Namespace) -> int:
-    """Write the series of a device as CSV, times in s, units in the headings; return 0. UsageError if there is none."""
+    """Write the series of a device as CSV, times in s, units in the headings; return 0.
+
+    UsageError if the recording has none of this name, or for options that do not go together.
+    """
     if arguments.recording is None or arguments.format is not None:
         raise UsageError("--series takes a recording and no --format: `station export RUN.h5 --series NAME`")
     if arguments.json and arguments.output == _STDOUT:

@@ -209,7 +209,10 @@ def _gauge_study(runs: Sequence[Entry], conditions: Sequence[tuple[str, str]]) -
 
 
 def _row(entry: Entry, folder: Path, moved: Sequence[Move]) -> HistoryRow:
-    """Return an entry as a row for printing, its path relative to ``folder``."""
+    """Return an entry as a row for printing, its path relative to ``folder``.
+
+    ``moved`` are its states that moved since the run before.
+    """
     return HistoryRow(
         when=entry.when,
         **{name: entry.texts.get(key, "") for key, name in _TEXTS.items()},

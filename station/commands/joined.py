@@ -24,8 +24,9 @@ from station.views.json_values import json_object
 def command_join(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     """Calibrate the one device of all recordings together, print the result, and return its exit code.
 
-    It is judged by the limits of --bench, else those of the first recording. Recordings that do not go together are
-    refused. UsageError for options that a joined calibration does not have.
+    It is judged by the limits of --bench, else those of the first recording. Recordings that cannot be joined are
+    refused with a message; UsageError for those of two devices, of a run that did not end, or one given twice, and for
+    options that a joined calibration does not have.
     """
     for option in ("write", "model", "scheduler"):
         if getattr(arguments, option):

@@ -130,7 +130,10 @@ def _investigate(loop: Loop, driver: _Driver) -> Round:
 
 
 def _why_ended(turn: Round, left_s: float) -> str:
-    """Return why nothing more is to be driven, "" if the round's next script should be."""
+    """Return why nothing more is to be driven, "" if the round's next script should be.
+
+    That is so unless its chance to settle the matter is below 5 %.
+    """
     if turn.investigation.finding is Finding.UNEXPLAINED:
         return "unexplained: no further run can tell the remaining effects of the catalogue apart"
     if turn.investigation.finding is not Finding.CANNOT_TELL:

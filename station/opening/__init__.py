@@ -169,7 +169,7 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
 
     ``time_scale`` is how fast the loop's clock runs: times that wait for a host, not for physics, are stretched by it,
     but never shortened. Links of devices that have to be made safe are locked: DeviceRefused if another program of this
-    machine holds one. BenchError if no device under test is used.
+    machine holds one. BenchError if no device under test is used, or for an invalid link or truth of a twin.
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:

@@ -220,7 +220,7 @@ def _key(identifier: int, extended: bool, j1939: bool) -> MessageKey:
 def _nearest(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
     """Return the values at ``t_s`` (k,) nearest to ``at_s`` (n,); NaN where the nearest is of another sample.
 
-    A single value is used for all.
+    That is more than 0.6 of the median interval of ``t_s`` away. A single value is used for all.
     """
     if len(t_s) < 2:
         return np.full(len(at_s), values[0])

@@ -143,7 +143,8 @@ async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float)
     """Ask the table for identity, status and readings of each axis, and whether another master commands it.
 
     Returns the answers. Noted as wrong are faults, axes that turn, commands of others, errors, and axes that take
-    longer to read than the poll rate allows. Time limits are stretched by ``time_scale``.
+    longer to read than the poll rate allows. Commands of others are looked for if an axis is enabled and the protocol
+    tells them. Time limits are stretched by ``time_scale``.
     """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
@@ -308,7 +309,8 @@ async def _blocks_received(source: ImuSource, duration_s: float) -> dict[str, li
 def _source_check(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
     """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate.
 
-    ``time_scale`` is how fast the loop's clock runs: the jitter is in real time.
+    The temperature is the last one, NaN without any. ``time_scale`` is how fast the loop's clock runs: the jitter is in
+    real time.
     """
     t_ns = np.concatenate([block.t_ns for block in blocks])
     arrival_ns = np.concatenate([block.arrival_ns for block in blocks])

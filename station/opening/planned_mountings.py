@@ -42,7 +42,10 @@ def planned_mountings(script: Script, bench: Bench) -> list[PlannedMountings]:
 
 
 def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedMountings:
-    """Return what a script shows of one device. The mountings follow from the stated one by exchange of the axes."""
+    """Return what a script shows of one device; EstimatorError if it is too short.
+
+    The mountings follow from the stated one by exchange of the axes.
+    """
     recordings = []
     for number in range(3):
         axes = np.roll(np.eye(3), number, axis=0) @ imu.mounting.axes

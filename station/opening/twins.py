@@ -365,7 +365,10 @@ def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[Ac
 
 
 def mounting_of(truths: Table, imu: ImuConfig) -> Mounting:
-    """Return how the gyros of a device lie on the table: as its bench file states it, with the error of its twin."""
+    """Return how the gyros of a device lie on the table, with the mounting of the bench file and the error of its twin.
+
+    Sense axes are those of the twins for a kind of array that they know, else those of the bench file.
+    """
     own = imu.own_array
     if imu.array_name in MOUNTS_DEG:
         placed = mounted(MOUNTS_DEG[imu.array_name])

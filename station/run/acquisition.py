@@ -317,9 +317,9 @@ class Acquisition:
     async def keep_flushing(self) -> None:
         """Write new data to the journal some 150 times a second, and every 2 s to the recording, until cancelled.
 
-        Counts, marks of the monitor and the host's load are taken every 0.2 s. While the journal is synced to the disk,
-        the recording is not written. Intervals are in the host's time, which may fail; in virtual time all is written
-        every 2 s.
+        Counts, marks of the monitor and the host's load are taken every 0.2 s; an event tells of a clock that falls
+        behind. While the journal is synced to the disk, the recording is not written. Intervals are in the host's time,
+        which may fail; in virtual time all is written every 2 s.
         """
         loop = asyncio.get_running_loop()
         virtual, journal = is_virtual(loop), self.writer.journal
@@ -378,7 +378,8 @@ class Acquisition:
         """Close all sources and other devices, record counts and the root's ``attributes``, and close the recording.
 
         If ``undisturbed`` (no verdict so far), open each closed device again to check its identity, and finish the live
-        estimate. DeviceFault if another device is there: devices after it and the recording then stay open.
+        estimate. DeviceFault if another device is there: devices after it and the recording then stay open. Sets
+        ``reports`` and, at the end, ``closed``.
         """
         self.monitor.end()
         for imu in self._imus:

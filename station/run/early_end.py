@@ -69,7 +69,11 @@ class EarlyEnd:
     def __init__(
         self, opened: OpenBench, live: LiveEstimate, time_scale: float, on_wait: Callable[[str], None]
     ) -> None:
-        """``time_scale`` is how fast the loop's clock runs; ``on_wait`` gets what is awaited once the gyros suffice."""
+        """Prepare, and have ``live`` keep from now on what a confirmation needs.
+
+        ``time_scale`` is how fast the loop's clock runs; ``on_wait`` gets a sentence on what is awaited once the gyros
+        suffice.
+        """
         self._imus, self._bench, self._live, self._time_scale = opened.imus, opened.bench, live, time_scale
         self._required = np.array(self._bench.limits.sds)
         self._on_wait, self._told_of_wait = on_wait, False

@@ -107,7 +107,7 @@ class ManualSequencer(Sequencer):
         """Return the move of ``axis`` to ``angle_rad`` as the table carries it out.
 
         ``given`` may have the acceleration; by default it is the limit of the axis. ScriptError, which names ``label``,
-        if it is beyond a limit.
+        if it is beyond a limit or the axis is unknown.
         """
         limits = self._table.limits.get(axis)
         acceleration = given.get("acceleration_rps2", limits.acceleration_rps2 if limits else 1.0)
@@ -172,7 +172,7 @@ class ManualSequencer(Sequencer):
         self._end_turn(axis)
 
     async def _arrives(self, step: Move, due_s: float) -> bool:
-        """Return whether the axis reached its target.
+        """Wait for the end of a move that was commanded; return whether the axis reached its target.
 
         False once the move is replaced by another command, a jog is not repeated, or it is overdue at ``due_s`` (loop
         time), which is told.

@@ -49,10 +49,10 @@ def there_and_back(
 
 
 def candidates(limits: Mapping[str, AxisLimits], gimbals: Sequence[str]) -> Iterator[Script]:
-    """Yield scripts of all kinds that show effects, between rests, each ending at home.
+    """Yield scripts of all kinds that show effects, each ending at home.
 
-    Rates and accelerations are within the limits; travel is not considered. Turns of several kinds come once, twice and
-    four times, then rests of three lengths.
+    Turns of several kinds, between rests, come once, twice and four times, then three single rests. Rates and
+    accelerations are within the limits; travel is not considered.
     """
     axes = [axis for axis in "xyz" if axis in gimbals]
 

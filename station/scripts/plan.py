@@ -94,7 +94,7 @@ def make_plan(
 
 
 def _table_sd(motion: PlannedMotion, bench: Bench, devices: list[PlannedDevice]) -> Floats:
-    """Return the sigmas of the states (gyros, 4) that come from the table's stated uncertainty."""
+    """Return the sigmas of the states (gyros, 4) that come from the table's stated uncertainty; 0 if none is stated."""
     readings = motion.readings(bench.table.uncertainty)
     variances = [
         np.sum([np.diag(part.covariance) for part in parts], axis=0) if parts else np.zeros(4)

@@ -64,9 +64,9 @@ class Needs:
     def cost(self, covariances: Floats, criterion: str) -> tuple[float, Floats]:
         """Return a logarithm of the size of required sigmas, and its derivative (n, 4, 4) by ``covariances``.
 
-        It is for covariances (n, 4, 4). Criterion "D" gives half the log of their determinants, as a mean over the
-        required states; any other half the log of the sum of variances relative to the required ones. States without a
-        requirement do not count.
+        ``covariances`` (n, 4, 4) are those of the states. Criterion "D" gives half the log of their determinants, as a
+        mean over the required states; any other half the log of the sum of variances relative to the required ones.
+        States without a requirement do not count.
         """
         wanted = np.isfinite(self.sd)
         slope = np.zeros_like(covariances)
@@ -150,7 +150,11 @@ class Search:
         return self._chosen(lambda shape: _shortest(shape, self.needs), self._settled)
 
     def least_sigmas(self, total_s: float) -> FoundScript | None:
-        """Return the script of length ``total_s`` with the least criterion; None if no turns fit into it."""
+        """Return the script of length ``total_s`` with the least criterion under all noise.
+
+        It may be a little shorter, as its times are rounded down. None if no turns fit into it. Whether the sigmas are
+        reached does not matter.
+        """
 
         def solve(shape: Shape) -> _Solved | None:
             return _best_within(shape, self.needs, total_s, self.criterion)
@@ -375,9 +379,9 @@ def _excess_slopes(shape: Shape, needs: Needs, v: Floats) -> Floats:
 
 
 def _first_enough(shape: Shape, enough: Callable[[Floats], bool]) -> Floats | None:
-    """Return the variables with the least common length of turns for which ``enough`` is true, to ``_COARSE_S``.
+    """Return the variables of one common length, the least for which ``enough`` is true, to ``_COARSE_S``.
 
-    No variable is below the shape's least. None if it is not true at ``LONGEST_S``.
+    A variable whose least value is longer has that instead. None if ``enough`` is not true at ``LONGEST_S``.
     """
     low, high = 0.0, float(LONGEST_S / shape.slopes(shape.least)[:, 0, 0].sum())
     if not enough(np.maximum(shape.least, high)):

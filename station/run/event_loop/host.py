@@ -59,8 +59,8 @@ class HostWatch:
     def slowed(self) -> str:
         """Return a message, once, if the clock of twins has become clearly slower than its scale; else "".
 
-        Call it only while a script runs, from its beginning: imports before that take longer. Time counts from the
-        first call.
+        It must have waited for 1 s and a tenth of the time (wall) since the first call. Call it only while a script
+        runs, from its beginning: imports before that take longer.
         """
         now_s, so_far_s = asyncio.get_running_loop().time(), self._waited_s
         self._began = self._began or (now_s, so_far_s)

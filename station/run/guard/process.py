@@ -166,7 +166,10 @@ def _named(devices: Sequence[_Device]) -> str:
 
 
 async def _make_devices_safe(order: Order, devices: Sequence[_Device], say: "_Log") -> None:
-    """Make devices safe: the table first, then, once it was tried, all others at once; each is tried for a minute."""
+    """Make devices safe: the first, which is the table if there is one, then all others at once.
+
+    The others begin when the first was tried once. Each is tried for a minute; ``say`` gets what is done.
+    """
     say(f"{order.who} died while it controlled {_named(devices)}: the guard stops {'them' if devices[1:] else 'it'}")
     first_tried = asyncio.Event()
     async with asyncio.TaskGroup() as tasks:

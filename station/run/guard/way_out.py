@@ -20,8 +20,8 @@ class WayOut:
     async def go(self, *, untrue_readings: bool) -> list[str]:
         """Make safe all devices that are not yet, in their order; return the troubles so far, in words.
 
-        With ``untrue_readings`` nothing that the table reports of its stop is believed. An exception of the table's
-        driver is raised; then it can be called again.
+        Each that is seen to be safe is told as an event. With ``untrue_readings`` nothing that the table reports of its
+        stop is believed. An exception of the table's driver is raised; then it can be called again.
         """
         for device in self._open.in_safe_order():
             if device.name in self._done:

@@ -94,7 +94,10 @@ class Rotate(Step):
         return replace(mirrored, label=mirrored.words())
 
     def written(self, duration_s: float) -> Sequence[str]:
-        """Return the lines of a script file for this step, with ``duration_s`` as its duration."""
+        """Return the lines of a script file for this step, with ``duration_s`` as its duration.
+
+        The angle of the step is told in a comment.
+        """
         return (
             'kind = "rotate"',
             f'axis = "{self.axis}"',

@@ -156,7 +156,8 @@ def _by_models(
 def _one_by_one(v: Floats, merit: Callable[[Floats], float], times: Times) -> Floats:
     """Return the times of the least ``merit`` that changes of one time alone find, in steps that become shorter.
 
-    Sigmas of places go up and down a little with the angles at which ramps begin, which no model has.
+    No time gets below its least. Sigmas of places go up and down a little with the angles at which ramps begin, which
+    no model has.
     """
     best = merit(v)
     for size in _SINGLE_STEPS:

@@ -146,7 +146,10 @@ class Structure:
                 yield Rotate(way.axis, signed, turn_s / times, limit.acceleration_rps2, label)
 
     def _pose(self, attitude: Attitude, rest_s: float) -> Pose:
-        """Return the step to an attitude, in which all axes have one rate and one acceleration."""
+        """Return the step to an attitude and a rest of ``rest_s`` there, after one second to settle.
+
+        Rate and acceleration are the least of the limits of all axes.
+        """
         acceleration = min(limit.acceleration_rps2 for limit in self.limits.values())
         angles = sorted(attitude.angles_rad)
         pose = Pose(
