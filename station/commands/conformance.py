@@ -46,9 +46,7 @@ _ROWS = 3  # of a series
 
 @dataclass(slots=True)
 class ImuSamples:
-    """Samples of an IMU, by source, at rest and turning about z; table readings ``angles`` in s, rad; ``error``: the
-    end's.
-    """
+    """Samples of an IMU by source, at rest and turning about z; table readings ``angles`` (s, rad); last ``error``."""
 
     imu: ImuConfig
     blocks: dict[str, list[ImuBlock]] = field(default_factory=dict)
@@ -187,7 +185,10 @@ async def _motion(opened: OpenBench) -> str:
 
 
 async def _late(opened: OpenBench) -> str:
-    """Return what is wrong on a wire that delays: angles of another time, a stop that returns early; "" if nothing."""
+    """Return what is wrong on a wire that delays: angles of another time, a stop that returns early; "" if nothing.
+
+    Errors of jogs and readings are ignored, as answers may be lost; without any reading it is wrong.
+    """
     axis, seen = opened.bench.table.gimbals[-1], list[AxisState]()
     for _ in range(3):
         with suppress(DeviceError):  # which a command may meet with where much is lost
@@ -272,8 +273,6 @@ _TABLE: _Suites = {
     "abort": ({}, lambda opened: _stopped(opened, "abort")),
     "stop, unplugged": ({"unplug": "30 s", "replug": "30.5 s"}, lambda opened: _stopped(opened, "stop", 30.2)),
 }
-
-
 _OTHER: _Suites = {
     "ready": ({}, _ready),
     "framing cut anywhere": ({"one_byte": True}, _ready),
@@ -409,7 +408,8 @@ def _error_text(error: BaseException) -> str:
 def command_conformance(arguments: argparse.Namespace) -> int:
     """Test the devices of a Python file, a described IMU, or those of a protocol; return 0 if all pass, else 1.
 
-    UsageError if the argument is none of these. Suites that need correct rates are skipped if those are wrong.
+    UsageError if the argument is none of these, or describes fewer than three gyros. Suites that need correct rates are
+    skipped if those are wrong.
     """
     name, plugins = arguments.module, [Path(arguments.module)] if arguments.module.endswith(".py") else []
     described = Path(name).absolute() if name.endswith(".toml") else None

@@ -51,7 +51,9 @@ _TEXTS = {"device_serial": "serial", "station": "bench"} | {
 def command_history(arguments: argparse.Namespace) -> int:
     """List the recordings of a folder, newest first, with charts of a device, or print a gauge study.
 
-    Return 0; with --valid-on 1 if no calibration was valid on that day. UsageError for wrong options.
+    Return 0; with --valid-on 1 if no calibration was valid on that day. Without --last a person gets 50 recordings,
+    --json and --csv all. There are charts with --serial only, of two or more comparable runs that did not fail.
+    UsageError for wrong options and a folder that cannot be read.
     """
     folder, data, since = Path(arguments.folder), arguments.json or arguments.csv, arguments.since or ""
     outcome = arguments.outcome and arguments.outcome.upper()

@@ -163,7 +163,8 @@ def _outputs(arguments: argparse.Namespace) -> tuple[Path, Path | None, Path | N
     """Return the paths of HTML and, where wanted, PDF and XML, all without overwriting.
 
     Without --output they are named as the recording, with a number if need be. UsageError if a file exists, for another
-    ending than .html or .pdf, or for a signature without certificate or --dcc.
+    ending than .html or .pdf, for a signature without certificate or --dcc, and for --dcc or --investigation with
+    --join.
     """
     if bool(arguments.sign) != bool(arguments.certificate) or (arguments.sign and not arguments.dcc):
         raise UsageError("--sign KEY.pem goes with --certificate CERTIFICATE.pem and --dcc")

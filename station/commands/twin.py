@@ -16,9 +16,9 @@ from station.run.outcome import Outcome
 
 
 def command_twin(arguments: argparse.Namespace) -> int:
-    """Serve the twins of a bench until SIGINT or SIGTERM; return 0, or 4 if a port cannot be had.
+    """Serve the twins of a bench until SIGINT or SIGTERM; return 0, or 4 for an OSError.
 
-    The ports are announced on stdout, a line of JSON each.
+    The ports are announced on stdout, a line of JSON each. DeviceError if a port is taken.
     """
     bench = seeded(load_bench(Path(arguments.bench) if arguments.bench else None), arguments.seed)
 

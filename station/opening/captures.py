@@ -177,8 +177,9 @@ def _read_candump(database: Any, dbc: Path, raw: bytes, names: Sequence[str]) ->
     """Return signals named MESSAGE.Signal in units of the DBC, and ``time`` (s), from the bytes of a candump log.
 
     The time is that of the message of the first of ``names``. Signals of other messages are those of the nearest frame,
-    NaN if that belongs to another sample. RecordingError for an unknown signal; nothing if the first message does not
-    occur. Also notes on damaged frames.
+    NaN if that belongs to another sample; signals whose message does not occur are left out. RecordingError for an
+    unknown signal; nothing if the first message does not occur. Also notes on damaged frames: those of another length,
+    and lines that are no frame.
     """
     try:
         readers = {

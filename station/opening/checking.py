@@ -254,8 +254,8 @@ def _commanded_by_others(
 async def _check_imu(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     """Listen to a device for two seconds; return its identity, its sources, and what is wrong with them.
 
-    There are no sources if opening it, its identity or its samples raise an error. Time is stretched by a
-    ``time_scale`` above 1.
+    There are no sources if opening it, its identity or its samples raise an error. A source that sends nothing is noted
+    as wrong and left out. Time is stretched by a ``time_scale`` above 1.
     """
     imu = next(imu for imu in opened.imus if imu.config.name == device.name)
     config, source = imu.config, imu.source

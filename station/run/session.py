@@ -260,9 +260,9 @@ class Session:
     async def _work(self) -> None:
         """Open and ready all devices, run the script while services record and watch, then end the services.
 
-        The table is opened last and homed before the script. In manual mode commands take the place of the script; with
-        an early end it may be broken off, with the table still turning. Any error of a device or service ends the work,
-        in an exception group; stopping the table is left to the caller.
+        The table is opened last, its fault reset if asked for, and homed before the script. In manual mode commands
+        take the place of the script; an early end may break it off with the table still turning. Any error of a device
+        or service ends the work, in an exception group; stopping the table is left to the caller.
         """
         table = self._open.table
         axes = self._bench.table.gimbals

@@ -26,6 +26,7 @@ _MOST_POSES = 24
 def wanted_of(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wanted:
     """Return the goal of the options: the sigmas to reach, by state, and the limits of the search.
 
+    The sigmas are those of the bench or of ``script``, less a margin, and infinite for states that need not be reached.
     UsageError if an option is out of range, no sigma is required that the script shows, or ``--one-way`` meets
     accelerometers.
     """

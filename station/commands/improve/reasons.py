@@ -71,10 +71,10 @@ def unreached_sensors_text(search: WholeImuSearch, bench: Bench) -> str:
 
 
 def no_gain_text(search: WholeImuSearch, found: FoundScript, script: Script, bench: Bench) -> str:
-    """Return the text that says that the given script is better than the one found; "" if it is not.
+    """Return the text that says that the given script is as good as the one found, or better; "" if it is not.
 
-    Also "" if the table cannot drive the given script. With a stated time it has to be within that and of lower cost;
-    else it has to be shorter and reach all sigmas, but for a margin.
+    Also "" if the table cannot drive the given script. With a stated time it has to be within that and of no higher
+    cost; else it has to be no longer and reach all sigmas, but for a margin.
     """
     if not is_possible(script, bench.table.limits):
         return ""
