@@ -51,9 +51,10 @@ def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | No
 
 
 def simulated_run(script: Script, bench: Bench, imu: ImuConfig) -> Recording:
-    """Return a simulated run of a device without errors, with the noise of its data sheets.
+    """Return a simulated run of a device without errors, the same at every call.
 
-    The device has to state one for accelerometers. Gravity is that of the site, else the standard one.
+    Its noise is that of the data sheets: white noise of gyros, white noise and instability of accelerometers. The
+    device has to state a sheet for the latter. Gravity is that of the site, else the standard one.
     """
     sheet = imu.force_sheet
     assert sheet is not None

@@ -378,8 +378,8 @@ class Acquisition:
         """Close all sources and other devices, record counts and the root's ``attributes``, and close the recording.
 
         If ``undisturbed`` (no verdict so far), open each closed device again to check its identity, and finish the live
-        estimate. DeviceFault if another device is there: devices after it and the recording then stay open. Sets
-        ``reports`` and, at the end, ``closed``.
+        estimate, whose EstimatorError is ignored. DeviceFault if another device is there: devices after it and the
+        recording then stay open. Sets ``reports`` and, at the end, ``closed``.
         """
         self.monitor.end()
         for imu in self._imus:
