@@ -62,8 +62,8 @@ def _results_as_they_end(
     """Yield the result of each item as it ends: from the cluster ``scheduler``, from ``workers`` processes, or computed
     here.
 
-    Without ``workers`` there are as many as cores; a single one, or a single item, is computed here, in order.
-    UsageError if plug-in files are in use on a cluster.
+    Without ``workers`` there are as many as cores that this process may use; a single one, or a single item, is
+    computed here, in order. UsageError as for ``run_all``.
     """
     if scheduler is not None:
         from station.campaigns.cluster import run_on_cluster
@@ -91,7 +91,7 @@ class _Bar(Bar):
         self._done = 0
 
     def count(self, failed: int) -> None:
-        """Count one item more; ``failed`` of all so far failed."""
+        """Count one item more, and show how many ended, ``failed`` among them; ten lines in all without a terminal."""
         self._done += 1
         text = f"{failed} failed" if failed else ""
         line = f"{self._label}: {self._done} of {self._total}  {text}".rstrip()

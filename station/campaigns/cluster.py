@@ -39,8 +39,9 @@ def run_on_cluster(
 ) -> Generator[Ended[R]]:
     """Yield the result of each item as it ends; closing the iterator cancels what has not begun.
 
-    Items whose worker died are tried once more, alone. If the cluster is lost, all remaining items fail with that
-    reason. UsageError if distributed is not installed, or no scheduler answers at the address.
+    ``address`` is tcp://HOST:PORT. Items whose worker died are tried once more, alone. If the scheduler is lost, or has
+    no worker for ``patience_s``, all remaining items fail with that reason. UsageError if distributed is not installed,
+    the address is not of this form, or no scheduler answers there. Logging is off meanwhile.
     """
     distributed = _distributed()
     _check_address(address)
@@ -113,8 +114,8 @@ class _Crew:
     def _ended(self, index: int, future: Any) -> Ended[Any]:
         """Return the result of the finished ``future`` of item number ``index``.
 
-        One that died with its workers or could not begin gives an Ended with a reason. TimeoutError if the result
-        cannot be fetched now, _GoneError if the scheduler is lost (it cancelled the future).
+        One that died with its workers (``died``) or could not begin gives an Ended with a reason. TimeoutError if the
+        result cannot be fetched now, _GoneError if the scheduler is lost (it cancelled the future).
         """
         if future.cancelled():
             raise _GoneError(f"the scheduler at {self._address} no longer answers")
@@ -185,7 +186,7 @@ def _check_address(address: str) -> None:
 
 
 def _check_scheduler(distributed: Any, address: str) -> None:
-    """Raise UsageError unless a Dask scheduler answers at ``address`` within 5 s.
+    """Raise UsageError unless a Dask scheduler answers at ``address`` within 5 s, and not another part of Dask.
 
     A client might wait for anything else for ever.
     """

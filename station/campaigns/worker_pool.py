@@ -83,7 +83,7 @@ def _results_of_round(
 ) -> Generator[Ended[R]]:
     """Yield the results of the items at ``indices`` from ``count`` new processes, as they end.
 
-    The processes are stopped at the end, also if it is ended early.
+    The processes have one BLAS thread each, and are stopped at the end, also if it is ended early.
     """
     # Pickled once, and unpickled where a failure can be reported: an error in a starting process is only a traceback.
     do = partial(_done, pickle.dumps(work))
@@ -102,9 +102,9 @@ def _results_of_round(
 
 
 def _result_of(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
-    """Return the result of the finished ``future`` of item number ``index``.
+    """Return the result of the finished ``future`` of item number ``index``, unpickled.
 
-    A failure with the reason if its process died, or the result could not be pickled or unpickled.
+    A failure with the reason if its process ended with it (``died``), or the result could not be pickled or unpickled.
     """
     try:
         ended = future.result()
@@ -116,7 +116,11 @@ def _result_of(index: int, future: Future[Ended[bytes]]) -> Ended[Any]:
 
 
 def _done(packed: bytes, index: int, item: object) -> Ended[bytes]:
-    """Do an item in a process of its own; a result that cannot be pickled is a failure of its item, too."""
+    """Do an item in this process of the pool by the pickled function ``packed``; return its result, pickled.
+
+    Any exception is a failure of the item, also when function or result cannot be unpickled or pickled. Asked to leave,
+    the process ends with code 1.
+    """
     try:
         return attempt(lambda item: pickle.dumps(pickle.loads(packed)(item)), index, item)
     except SystemExit:  # asked to leave; its files are closed by now
@@ -139,7 +143,10 @@ def _begin_worker() -> None:
 
 
 def end_with_parent() -> None:
-    """Start a thread that sends SIGTERM to this process of a pool when its parent has ended in any way."""
+    """Start a thread that sends SIGTERM to this process of a pool when its parent has ended in any way.
+
+    Call it only in a process that multiprocessing has started.
+    """
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -15,7 +15,7 @@ _VIRTUAL = ("vcan", "vxcan")
 
 
 def ask_kernel(interface: str) -> dict[str, Any] | None:
-    """Return the description of a network interface by `ip`; {} if there is none of that name.
+    """Return the description of a network interface by `ip`; {} if there is none of that name, or no JSON comes.
 
     None if `ip` is missing or takes more than 5 s.
     """
@@ -33,7 +33,8 @@ def look_at_can_interface(
 ) -> Iterator[Finding]:
     """Yield what prevents or disturbs the use of a SocketCAN interface, such as can0; nothing if it is fine.
 
-    ``ask`` returns its description as `ip` does, see ``ask_kernel``.
+    That is one finding at most: no name of an interface, `ip` missing, no such interface or not CAN, down, BUS-OFF, or
+    errors on the bus. ``ask`` returns its description as `ip` does, see ``ask_kernel``.
     """
     if not re.fullmatch(r"[\w.-]{1,15}", interface):
         yield Finding(interface, "is not the name of a network interface", "ip -brief link", wrong=True)

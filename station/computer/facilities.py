@@ -24,7 +24,10 @@ def missing_facility() -> str:
 
 
 def peer_note() -> str:
-    """Return one line saying that this system does not identify users of a local socket; empty if it does."""
+    """Return one line saying that this system does not identify users of a local socket; empty if it does.
+
+    Systems with ``SO_PEERCRED``, such as Linux, do.
+    """
     if hasattr(socket, "SO_PEERCRED"):
         return ""
     return (

@@ -35,7 +35,7 @@ def look_at_serial_port(port: str, root: Path = Path("/")) -> Iterator[Finding]:
 
 
 def _missing(port: str, root: Path) -> Finding:
-    """Return the finding that a port does not exist, with the ports that do."""
+    """Return the finding that a port does not exist, with the stable names of ports that do, if there are any."""
     there = sorted(f"/dev/serial/by-id/{p.name}" for p in _links_by_id(root))
     if there:
         return Finding(
@@ -71,7 +71,7 @@ def _refused(port: str, path: Path) -> Finding:
 def _held_by_others(port: str, path: Path, root: Path) -> Iterator[Finding]:
     """Yield each other program that has the port open, as far as this user may see.
 
-    ``path`` is the port's in the file system whose root is ``root``.
+    ``path`` is the port's in the file system whose root is ``root``. This process and unreadable ones are skipped.
     """
     device = path.stat().st_rdev
     for process in sorted((root / "proc").glob("[0-9]*")):
@@ -101,7 +101,7 @@ def _links_by_id(root: Path) -> list[Path]:
 def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
     """Yield the stable names of a port whose number may change when adapters are plugged in again.
 
-    None for a port that is named by a link.
+    Nothing for a port that is named by a link already, or has no such name. ``path`` is the port's below ``root``.
     """
     if path.is_symlink():
         return
@@ -115,7 +115,10 @@ def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
 
 
 def _slow_adapter(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield that a USB adapter delays bytes, if its latency timer is above 1 ms, as FTDI's 16 ms by default."""
+    """Yield that a USB adapter delays bytes, if its latency timer is above 1 ms, as FTDI's 16 ms by default.
+
+    Nothing for a port without such a timer. ``path`` is the port's below ``root``.
+    """
     name = path.resolve().name
     setting = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
     with suppress(OSError, ValueError):

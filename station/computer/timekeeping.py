@@ -20,7 +20,7 @@ class ClockWatch:
         self._offset_s = time.time() - self._began_s
 
     def findings(self) -> Iterator[Finding]:
-        """Yield by how much the clock was set since this object was made, if by more than a small step."""
+        """Yield by how much the clock was set since this object was made, if by more than 5 ms."""
         now_s = time.monotonic()
         step_s = time.time() - now_s - self._offset_s
         if abs(step_s) > _STEP_S:
@@ -51,7 +51,7 @@ def look_at_power_saving(root: Path = Path("/")) -> Iterator[Finding]:
 
 
 def _on_battery(root: Path) -> bool:
-    """Return whether there are mains adapters but none is in use."""
+    """Return whether there are mains adapters but none is in use; OSError if the supplies cannot be read."""
     states = []
     for supply in (root / "sys/class/power_supply").iterdir():
         if (supply / "type").read_text().strip() == "Mains":
@@ -82,7 +82,8 @@ def look_at_usb_suspend(port: str, root: Path = Path("/")) -> Iterator[Finding]:
 def look_at_load(cores: int | None = None, load: float | None = None) -> Iterator[Finding]:
     """Yield that programs want more processors than there are, with what can be done; nothing if not.
 
-    ``load`` is by default that of the last minute, ``cores`` those of this machine.
+    ``load`` is the mean number of programs that want one, by default that of the last minute; ``cores`` are by default
+    those of this machine.
     """
     available = cores or os.cpu_count() or 1
     used = os.getloadavg()[0] if load is None else load
@@ -93,7 +94,10 @@ def look_at_load(cores: int | None = None, load: float | None = None) -> Iterato
 
 
 def _priority_advice() -> tuple[str, str]:
-    """Return, in words and as a command, how to give a run real-time priority; both empty if this user may not."""
+    """Return, as words to append and as a command, how to give a run real-time priority; both empty if it may not be.
+
+    It may for root, or if the limit of this user allows for the priority.
+    """
     import resource
 
     permitted, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)

@@ -32,10 +32,11 @@ def ask_key(
     proposed: str | None = None,
     checked: Callable[[Data], object] = lambda data: None,
 ) -> Data:
-    """Return the table ``data`` with the answer for one key, without the key if the answer is empty.
+    """Return a copy of the table ``data`` with the answer for one key, without the key if the answer is empty.
 
     The question defaults to the key's description. The present value is proposed unless ``proposed`` is given.
-    ``checked`` raises UsageError for an invalid table, and the question is then repeated.
+    ``checked`` gets the new table and raises UsageError if it is invalid; the question is then repeated, as for a value
+    that the key does not allow. If nobody is asked, the proposal must be right; see ``Dialogue.ask``.
     """
 
     def made(text: str) -> Data:
@@ -55,7 +56,8 @@ def ask_key(
 def _value(key: Key, text: str) -> Any:
     """Return an answer as a TOML value: a list for several, a number where the key asks for one, else the text.
 
-    A text that should be a number and is none stays a text, which the check of the key refuses.
+    Parts of a list are separated by blanks or commas, those of a list with a value for each by commas only. A text that
+    should be a number and is none stays a text, which the check of the key refuses.
     """
     if key.kind == "texts" or key.each:
         return [part for part in re.split(r"\s*,\s*" if key.each else r"[\s,]+", text.strip()) if part]

@@ -36,7 +36,9 @@ def bench_text(bench: Data, other_kinds: Iterable[DeviceKind] = ()) -> str:
 
 
 def _devices(bench: Data, kind: DeviceKind) -> Iterator[tuple[str, Data]]:
-    """Yield the devices of a kind, each with where its keys are, as comments name it."""
+    """Yield the devices of a kind, each after the beginning of its keys' names, such as "imu.imu_a."; none if there are
+    none.
+    """
     section = bench.get(kind.name, [])
     if kind.single and section:
         yield f"{kind.name}.", section

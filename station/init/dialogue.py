@@ -47,10 +47,10 @@ class Dialogue:
                 return answer
 
     def choose(self, question: str, options: Mapping[str, str], proposed: str) -> str:
-        """Ask a question, and return the name of one of ``options`` (name and description).
+        """Ask a question, and return the name of one of ``options`` (name and description), shown before.
 
         An answer is a name or an unambiguous beginning of one, ``proposed`` by default; anything else is asked again.
-        All are shown with their descriptions, also if nobody is asked.
+        If nobody is asked nothing is shown and it is ``proposed``; UsageError if that is wrong. EndedError as ``ask``.
         """
         for name, meaning in options.items():
             self.say(f"    {name:<12} {meaning}")
@@ -64,7 +64,8 @@ class Dialogue:
     def agrees(self, question: str, proposed: bool) -> bool:
         """Ask a question, and return whether the answer is yes; y, ye, n and so on are accepted.
 
-        ``proposed`` is the answer by default. Anything else is asked again.
+        ``proposed`` is the answer by default, and if nobody is asked. Anything else is asked again. EndedError as
+        ``ask``.
         """
 
         def one_of(answer: str) -> None:
@@ -74,8 +75,9 @@ class Dialogue:
         return self.ask(question, "yes" if proposed else "no", one_of).lower().startswith("y")
 
     def _read(self, prompt: str) -> str:
-        """Return a line of stdin after ``prompt``, printed again if stdin is not a terminal; EndedError if none can be
-        read.
+        """Return a line of stdin, asked for by ``prompt``; EndedError if none can be read.
+
+        If stdin is not a terminal the line is printed, too.
         """
         if sys.stdin is None:  # started with a closed one
             raise EndedError

@@ -41,8 +41,9 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
     dialogue.say(sentence("init.signals"))
 
     def usable(text: str) -> None:
-        """Check the answer: a DBC by reading it, a mapping or no answer (the built-in DBC) by ``checked``; UsageError
-        if wrong.
+        """Check the answer: a DBC by reading it, a mapping or no answer (the built-in DBC) by ``checked``.
+
+        UsageError if it is wrong, or if there is no answer and there are more gyros than in the built-in DBC.
         """
         if text.endswith(".dbc"):
             _signals(folder / text)
@@ -95,9 +96,7 @@ def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, 
 
 
 def _direction(text: str) -> list[float]:
-    """Return three numbers, separated by blanks or commas, as a unit vector; UsageError if they are none, or all
-    zero.
-    """
+    """Return three numbers, separated by blanks or commas, as a unit vector; UsageError if they are none, or zero."""
     try:
         x, y, z = (float(part) for part in re.split(r"[\s,]+", text.strip()))
     except ValueError:
@@ -124,7 +123,7 @@ def _ask_channels(dialogue: Dialogue, path: Path, count: int) -> list[Data]:
     """Return a channel for each of ``count`` gyros: a rate and possibly a temperature, of the signals of the DBC at
     ``path``.
 
-    They are shown first; other names are asked for again.
+    All signals are shown first; other names are asked for again. UsageError if the DBC cannot be read.
     """
     signals = _signals(path)
     dialogue.say("  signals: " + ", ".join(signals))

@@ -17,7 +17,10 @@ class SerialFound:
 
 
 def serial_ports() -> list[SerialFound]:
-    """Return the serial ports of this machine, plugged-in adapters before built-in ports, each group by name."""
+    """Return the serial ports of this machine, plugged-in adapters (on USB) before built-in ports, each group by name.
+
+    A description that says no more than the name is left empty.
+    """
     from serial.tools import list_ports
 
     found = []

@@ -22,7 +22,8 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
     """Return a device under test with a name that is not in ``names``; asked are its protocol, link, gyros, rate and
     noise.
 
-    ``protocol`` and ``link`` are proposed if not empty; paths count from ``folder``.
+    ``protocol`` and ``link`` are proposed if not empty; paths count from ``folder``. Gyros are asked for only if their
+    signals come from a DBC or a description. UsageError if nobody is asked and a proposal is wrong.
     """
 
     def checked(made: Data) -> None:
@@ -58,7 +59,7 @@ def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link:
 
 
 def _free(name: str, names: Sequence[str]) -> str:
-    """Return a name, with a number if it is taken."""
+    """Return a name, with the first number from 2 on that is free if it is in ``names``."""
     number, free = 1, name
     while free in names:
         number += 1

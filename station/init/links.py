@@ -24,11 +24,11 @@ class Links:
         return free[0] if free else TWIN
 
     def ask(self, dialogue: Dialogue, spec: DeviceSpec, device: str, proposed: str = "") -> str:
-        """Return the link of a device of record ``spec``, after showing the links found; it counts as in use from then
-        on.
+        """Return the link of a device of record ``spec``, after showing the links found; from then on it is taken.
 
         Proposed is ``proposed``, else a link that is found and free. If nobody is asked it is ``proposed``, else the
-        twin.
+        twin. ``device`` is the name of the device, for messages. A link that the device cannot use is asked for again;
+        UsageError if nobody is asked.
         """
         found = self.can if spec.on_can else [f"{p.link} {p.description}".rstrip() for p in self.serial]
         if found:

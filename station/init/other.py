@@ -21,9 +21,10 @@ def other_kinds() -> list[DeviceKind]:
 
 
 def ask_others(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind, names: Sequence[str]) -> list[Data]:
-    """Ask for the devices of a kind on this bench until there are no more; return them.
+    """Ask for the devices of a kind on this bench until there are no more; return them, none if nobody is asked.
 
-    At most one if the kind is ``single``; their names are not in ``names``. Paths count from ``folder``.
+    At most one if the kind is ``single``; their names are not in ``names``. Paths count from ``folder``. UsageError if
+    one is invalid as a whole.
     """
     made: list[Data] = []
     while not (kind.single and made) and dialogue.agrees(f"\nIs {kind.what} on this bench?", False):
@@ -36,7 +37,8 @@ def _ask_other(dialogue: Dialogue, links: Links, folder: Path, kind: DeviceKind,
     """Return one device with a name that is not in ``names``: protocol, link, then its required keys and those to ask
     for.
 
-    Paths count from ``folder``. UsageError if it is invalid as a whole.
+    The name is that of the kind, with a number if that is taken. Paths count from ``folder``. UsageError if the device
+    is invalid as a whole.
     """
     known = {name: spec for name, spec in kind.protocols.tried().items() if isinstance(spec, DeviceSpec)}
     protocol = dialogue.choose("protocol", {name: spec.said for name, spec in known.items()}, next(iter(known), ""))

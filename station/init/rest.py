@@ -19,7 +19,8 @@ def ask_rest(dialogue: Dialogue, bench: Data, other_sections: Sequence[str] = ()
     """Return the complete bench: site, limits, place and twins in addition to the devices in ``bench``.
 
     If all devices under test are twins, it also states that no effects are undeclared. ``other_sections`` are the
-    sections of devices of other kinds in it. Answers that are left empty are left out.
+    sections of devices of other kinds in it. Answers that are left empty are left out; without a latitude there is no
+    heading either. The limits proposed are wider for noisier gyros.
     """
     dialogue.say("\nThe lab. Its latitude is needed to remove Earth rate (15 deg/h); - leaves it in the bias.")
     latitude, heading = (key for key in keys_of("bench.site") if key.name in ("latitude", "heading"))

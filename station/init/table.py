@@ -16,9 +16,10 @@ _KEYS = {key.name: key for section in ("table", "encoder", "axis", "own_link") f
 
 
 def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str) -> Data:
-    """Return the table: its protocol, link, options, and each of its axes, outermost first.
+    """Ask for the table, and return it: its protocol, link, options, and each of its axes, outermost first.
 
-    ``protocol`` and ``link`` are proposed if not empty. Paths count from ``folder``.
+    ``protocol`` and ``link`` are proposed if not empty. Paths count from ``folder``. Answers that make the table
+    invalid are asked for again; UsageError if nobody is asked.
     """
 
     def checked(made: Data) -> None:
@@ -54,7 +55,8 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
 def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
     """Return the proposed axes by name, with usual limits; addresses are assigned in the order of the names, x first.
 
-    Axes beyond the protocol's addresses get the last one; without addresses all axes are alike.
+    Axes beyond the protocol's addresses get the last one; without addresses all axes are the same object. Counts per
+    turn are there if the protocol proposes any.
     """
     order, last = sorted(names), len(spec.addresses) - 1
     usual: Data = {"counts_per_turn": spec.proposed_counts} if spec.proposed_counts else {}

@@ -20,9 +20,9 @@ def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: flo
     """Run a program with ``result`` as one JSON object on its standard input; return what went wrong, "" for exit code
     0.
 
-    That is that it could not be started, took more than ``limit_s``, was ended by Ctrl-C, or another exit code, with
-    the last line that it printed. Processes that it leaves running are not waited for, but are ended with it at the
-    time limit or Ctrl-C.
+    ``command`` is the program and its arguments. What goes wrong is that it could not be started, took more than
+    ``limit_s``, was ended by Ctrl-C, or another exit code, with the last line that it printed. Processes that it leaves
+    running are not waited for, but are ended with it at the time limit or Ctrl-C.
     """
     with tempfile.TemporaryFile() as printed:
         try:

@@ -28,7 +28,7 @@ _LONGEST_NAME = len("4194304.sock.new")
 
 
 def socket_folder() -> Path:
-    """Return this user's folder for sockets, created if missing.
+    """Return this user's folder for sockets, created if missing, in ``XDG_RUNTIME_DIR`` or that for temporary files.
 
     The first suitable place is taken; UsageError, with the reasons against each, if there is none.
     """
@@ -57,7 +57,8 @@ def _places() -> list[Path]:
 def _objection(folder: Path) -> str:
     """Return why a folder must not be used for sockets, "" if it may.
 
-    In one of another user, or accessible to others, a stranger could pose as a session. OSError if it is missing.
+    In one of another user, or accessible to others, a stranger could pose as a session. Nor may it be a link, without
+    the right to write, or too long for the address of a socket. OSError if it is missing.
     """
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
@@ -154,14 +155,14 @@ class RemoteSession:
     async def messages(self) -> AsyncIterator[dict[str, Any]]:
         """Yield the session's messages, by "kind": "event", "snapshot", "course", "refused", "result".
 
-        Only the newest unread snapshot is kept. It ends when the session is gone; one that ends without "result" was
-        killed.
+        Of unread snapshots in a row only the newest is kept. It ends when the session is gone; one that ends without
+        "result" was killed.
         """
         while (message := await self._inbox.next()) is not None:
             yield message
 
     def stop(self) -> bool:
-        """Bring the table to rest and end the run; return whether the request was sent.
+        """Bring the table to rest and end the run; return whether the request was sent, False if the session is gone.
 
         May be called from any thread: it bypasses the event loop, which may be busy.
         """

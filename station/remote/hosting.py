@@ -49,7 +49,7 @@ class Host:
     """A socket for one run. Enter it before opening devices: it fails early if the socket cannot be created."""
 
     def __init__(self, time_scale: float = 1.0) -> None:
-        """Prepare without a socket or a run; ``time_scale`` is how fast the loop's clock runs."""
+        """Prepare without a socket or a run; ``time_scale`` is how many seconds the loop's clock counts in one."""
         self.scale = time_scale
         self.events: list[bytes] = []
         """Lines of all events so far."""
@@ -125,7 +125,10 @@ class Host:
                 path.unlink()
 
     def welcome(self, client: "_Client") -> None:
-        """Admit a client and send it the greeting, past events and a snapshot; refuse it if there are too many."""
+        """Admit a client and send it the greeting, past events and a snapshot if there is one.
+
+        Beyond 20 clients it is refused, and its connection closed.
+        """
         if len(self.clients) >= _MOST_CLIENTS:
             client.transport.write(_refused(f"{_MOST_CLIENTS} clients watch this session already"))
             client.transport.close()
@@ -245,9 +248,10 @@ class _Client(asyncio.Protocol):
         self._heed()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Handle the lines that are still unread, up to a limit: a STOP counts even if its sender has hung up.
+        """Forget the client, and handle the lines that are still unread: a STOP counts even if its sender has hung up.
 
-        Requests that move the table are not carried out; those that are refused have no answer.
+        At most 16 lines and 4096 bytes more are read. Requests that move the table are not carried out; nothing is
+        answered.
         """
         self._host.clients.discard(self)
         with suppress(OSError), self.transport.get_extra_info("socket").dup() as rest:
@@ -269,10 +273,10 @@ class _Client(asyncio.Protocol):
         self.transport.close()
 
     def _heed(self, *, late: bool = False) -> None:
-        """Handle up to ``_LINES_AT_ONCE`` of the lines received, and the rest a little later.
+        """Handle up to ``_LINES_AT_ONCE`` of the lines received, and the rest a little later, as ``late`` ones.
 
         So no client takes all time; meanwhile it is not read. Nothing on a connection that closes; a line that is too
-        long closes it. ``late`` as for ``Host.do``.
+        long closes it. Answers are dropped while the client does not read. ``late`` as for ``Host.do``.
         """
         if self.transport.is_closing():
             return
@@ -303,9 +307,10 @@ class _Client(asyncio.Protocol):
 def introduction(
     bench: Bench, bench_file: str | None, script: Script, recording: Path, gyros: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Return the greeting's description of a bench and its run; times in s, limits in SI, null for none.
+    """Return the greeting's description of a bench and its run as JSON values; times in s, limits in SI, null for none.
 
-    ``bench_file`` is the path of the bench, None without one; ``gyros`` are the names of all gyros.
+    ``bench_file`` is the path of the bench, None without one; ``gyros`` are the names of all gyros. Paths become
+    absolute.
     """
     steps = [_step_object(timed) for timed in script.timeline()]
     found: dict[str, Any] = json_object(
@@ -329,7 +334,7 @@ def introduction(
 
 
 def _step_object(timed: Timed) -> dict[str, Any]:
-    """Return the greeting's description of a step: its earliest times, and axis and end of its last turn.
+    """Return the greeting's description of a step: its earliest times in s, and axis and end in rad of its last turn.
 
     Without a turn these are null and 0.
     """

@@ -78,7 +78,7 @@ class StationApp(App[None]):
     ]
 
     def __init__(self, choices: Choices, *, attach: bool = False) -> None:
-        """Load what was entered last, for all that ``choices`` leave empty; ``attach``: begin with a session."""
+        """Complete ``choices`` by the last entries, and load the theme; ``attach``: begin with a running session."""
         if attach:
             self.DEFAULT_MODE = "run"
         super().__init__()
@@ -92,9 +92,7 @@ class StationApp(App[None]):
         self.archive = Archive()
         self.shown: LiveRun | None = None
         self.mounted = False
-        """Whether the operator has mounted a device of the tray, whose run starts once nothing stands against it."""
         self.others = 0
-        """How many sessions run while none is shown."""
         self._link: SessionLink | None = None
         self._begins_attached = attach
         self._told_by_key = False
@@ -117,7 +115,6 @@ class StationApp(App[None]):
         await super().on_event(event)
 
     def get_driver_class(self) -> type[Driver]:
-        """Return the driver of this terminal, with STOP before everything."""
         return type("StopFirstDriver", (_StopFirst, super().get_driver_class()), {})
 
     def on_mount(self) -> None:
@@ -129,7 +126,6 @@ class StationApp(App[None]):
         self.work(self._find_sessions, "sessions")
 
     async def on_unmount(self) -> None:
-        """Close the connection; a session continues."""
         if self._link is not None:
             self._link.close()
         await self.archive.close()
@@ -137,7 +133,8 @@ class StationApp(App[None]):
     def action_stop(self) -> None:
         """Bring the table to rest at once, without any question.
 
-        Stops the session that is shown, or one about to be started; if none is shown, all running sessions.
+        A run about to start, also that of a mounted device, is cancelled. A session that is shown is stopped if active;
+        if none is shown, all that run. The operator is told of a cancelled start, and of a session out of reach.
         """
         sent, self._told_by_key = self._told_by_key, False
         mounted, self.mounted = self.mounted, False
@@ -157,7 +154,7 @@ class StationApp(App[None]):
             self._told_by_key = link.stop()
 
     async def _stop_all(self) -> None:
-        """Stop all running sessions, and show the first; nothing if there are none."""
+        """Stop all running sessions, show the newest, and say how many they were; nothing if there are none."""
         sockets = await asyncio.to_thread(running_sessions)
         if sockets:
             run = LiveRun()
@@ -182,7 +179,7 @@ class StationApp(App[None]):
         self.push_screen(HelpDialog(groups))
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Yield the palette's commands: actions on the recording shown, manual mode, and textual's except "Keys"."""
+        """Yield actions on the recording shown, manual mode, and textual's except "Keys"; on a dialog only the last."""
         if isinstance(screen, StationScreen) and screen.recording is not None:
             yield from offered(self, screen.recording)
         if isinstance(screen, StationScreen):
@@ -216,7 +213,10 @@ class StationApp(App[None]):
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
-        """Start and follow a session for the prepared run; say so if one runs on this bench already, or if it fails."""
+        """Start and follow a session for the prepared run; notify why not if one runs on this bench or it cannot start.
+
+        Its item on the tray becomes running, or waits again; a manual run has none. Twins are fast without a scale.
+        """
         others = await sessions_on(prospect.bench, self.choices.bench)
         if self.busy or others:
             session = f"process {others[0]}" if others else "it is on F3"
@@ -237,12 +237,10 @@ class StationApp(App[None]):
         self._follow(LiveRun(recording, choices.script), process=process)
 
     def pause_run(self) -> None:
-        """Pause the run after the current step, or resume it."""
         if self._link is not None and self.busy:
             self._link.pause()
 
     def drive(self, action: str, **given: str | float) -> None:
-        """Send a command of manual mode to the session that is shown."""
         if self._link is not None and self.busy:
             self._link.drive(action, **given)
 
@@ -255,7 +253,6 @@ class StationApp(App[None]):
             self.notify(f"no session accepts it: {text}", title="Note NOT kept", severity="error", markup=False)
 
     def watch_theme(self) -> None:
-        """Keep the theme that was chosen, for the next time."""
         if self.is_running and self.theme != self.remembered.theme:
             self.remembered = replace(self.remembered, theme=self.theme)
             save_remembered(self.remembered)
@@ -266,7 +263,7 @@ class StationApp(App[None]):
         save_remembered(self.remembered)
 
     def prepare(self, script: str | None) -> None:
-        """Show the preparation, with another script unless ``script`` is None."""
+        """Show the preparation, which takes over the choices again; ``script`` replaces the chosen one unless None."""
         if script is not None:
             self.choices = replace(self.choices, script=script)
         if self.current_mode == "prepare":
@@ -298,7 +295,7 @@ class StationApp(App[None]):
         self.work(self._choose, "sessions")
 
     async def _find_sessions(self) -> None:
-        """Offer running sessions at the start; with --attach show the only one, or the preparation if there is none."""
+        """Offer running sessions at the start if there is room; with --attach show the only one, or prepare if none."""
         if not self._begins_attached:
             if not self._is_small:
                 await self._choose(quiet=True)
@@ -313,7 +310,7 @@ class StationApp(App[None]):
             self.switch_mode("prepare")
 
     async def _choose(self, *, quiet: bool = False) -> None:
-        """Offer a list of running sessions; ``quiet``: only if there are any and none is shown."""
+        """Offer the running sessions or say there are none; ``quiet``: only offer, and not while one is active."""
         found = await sessions_there()
         self.others = len(found)
         if found and not (quiet and self.busy):
@@ -356,7 +353,7 @@ class StationApp(App[None]):
         self.run_worker(worker, group=group, exclusive=True)
 
     def _follow(self, run: LiveRun, *, process: SessionProcess | None = None, socket: Path | None = None) -> None:
-        """Show a session, by its process or its socket, and follow its messages; an earlier one is let go."""
+        """Show ``run`` on the run screen, and follow it by its process or socket; an earlier link is closed."""
         if self._link is not None:
             self._link.close()
         self.shown = run
@@ -367,7 +364,11 @@ class StationApp(App[None]):
         self.work(partial(self._link.follow, self._changed), "session")
 
     def _changed(self) -> None:
-        """Update the screen after a change of the session; if it ended, update the tray, show the result, or leave."""
+        """Update the screen after a new stage of the session; once it has ended, the tray, too.
+
+        PASS, ESTIMATED or FAIL leads from the run screen to the result and, without STOP, to the next of the tray. A
+        run without a result is looked up in its recording. The app ends if the operator is leaving and the table rests.
+        """
         run = self.shown
         self._tick()
         if run is None or run.stage is not Stage.ENDED:
@@ -410,7 +411,7 @@ class StationApp(App[None]):
                     screen.tick()
 
     def show_stop(self) -> None:
-        """Show the run's state in the bars; without a run that matters, a line on the recording that is shown."""
+        """Show the run's state in bars and small view; without one, or one over and not in view, the screen's line."""
         with suppress(ScreenStackError):
             below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
             run, line = self.shown, ""
@@ -438,7 +439,7 @@ def _session_words(path: Path, hello: Greeting | None) -> str:
 
 
 def _hung_up(stream: TextIO | None) -> bool:
-    """Return whether the far end of a stream is gone, or the stream is closed."""
+    """Return whether the far end of a stream is gone, or the stream is closed; False without a stream."""
     poll = select.poll()
     try:
         if stream is not None:

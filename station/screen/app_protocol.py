@@ -18,11 +18,15 @@ class SeenApp(Protocol):
 
     shown: LiveRun | None
     others: int
+    """How many sessions run while none is shown."""
     choices: Choices
     archive: Archive
     operator_utc_s: float
+    """When the operator was entered or confirmed, in seconds since 1970."""
     bench_recalled: bool
+    """Whether the bench is only remembered from the last run: real hardware of it is not opened yet."""
     mounted: bool
+    """Whether the operator has mounted a device of the tray, whose run starts once nothing stands against it."""
 
     @property
     def busy(self) -> bool: ...

@@ -30,7 +30,10 @@ class Lines(Static):
         self._height = 0
 
     def show(self, text: object, lines: int) -> None:
-        """Show a text (str or rich Text) of ``lines`` lines; nothing is done if it is shown already."""
+        """Show a text (str or rich Text) of ``lines`` lines; nothing is done if it is shown already.
+
+        The layout is computed anew only if the number of lines has changed.
+        """
         if text == self._shown:
             return
         self._shown = text
@@ -43,7 +46,7 @@ class TopBar(Static):
     """The names of the screens, the present one marked; a click changes to another."""
 
     def __init__(self, mode: str) -> None:
-        """List all screens with their keys, that of ``mode`` highlighted and the others as links."""
+        """List all screens with their keys, that of ``mode`` highlighted, the others as links, and the key to quit."""
         names = [
             f"[bold reverse] {key} {name} [/]"
             if mode == screen_name
@@ -101,7 +104,7 @@ class Small(Lines):
 
 
 def _lines(run: LiveRun | None, recording_line: str) -> list[Text]:
-    """Return lines about a run, the most important first; one line on the outcome once it has ended.
+    """Return lines about a run, the most important first; one line, outcome and reason, once there is an outcome.
 
     Without a run the line is ``recording_line``, or that no session runs; "starting" before the first snapshot.
     """

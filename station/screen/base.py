@@ -40,7 +40,7 @@ class StationScreen(Screen[None]):
     """The recording that is shown, or chosen."""
 
     def compose(self) -> ComposeResult:
-        """Lay out the frame around the screen's own ``body``."""
+        """Lay out the names of the screens, ``body``, which scrolls, ``row_below``, keys, the small view and STOP."""
         yield TopBar(self.MODE)
         with VerticalScroll(id="body"):
             yield from self.body()
@@ -73,7 +73,10 @@ class StationScreen(Screen[None]):
         return self.recording is None or (recording is not None and self.recording.absolute() == recording.absolute())
 
     def keys(self) -> list[Binding]:
-        """Return the keys of this screen that have an effect now."""
+        """Return the keys of this screen that have an effect now.
+
+        Left out are those that ``check_action`` refuses by False, and that of the charts where there are none.
+        """
         found = []
         for key in keys_of(type(self)):
             name, _, _ = key.action.partition("(")

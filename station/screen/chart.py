@@ -55,8 +55,9 @@ class _Ticks(NumericAxisFormatter):
         return ticks[min(range(len(ticks)), key=lambda at: abs(ticks[at]), default=0) % step :: step]
 
     def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
-        """Return the labels of ticks: dates or times of day if the axis has a begin, else numbers; repeated dates are
-        empty.
+        """Return a label for each tick: dates or times of day if the axis has a begin, empty where they repeat.
+
+        Else numbers, all with the digits that the finest needs, seven at most, and the unit at the first.
         """
         if self.began_utc_s is not None:
             dates = [datetime.fromtimestamp(self.began_utc_s + tick * _DAY_S) for tick in ticks]
@@ -85,7 +86,10 @@ class Chart(PlotWidget, inherit_bindings=False):
     KEYBOARD_ZOOM_FACTOR = 0.5
 
     def __init__(self, draw: Callable[[], None], name: str) -> None:
-        """``draw`` draws this chart; it is called on a resize, as a chart out of sight gets its size late."""
+        """``draw`` draws this chart; it is called on a resize, as a chart out of sight gets its size late.
+
+        ``name`` is the chart's, and a class of its style. A chart whose name is in ``DIALS`` has no margins for axes.
+        """
         super().__init__(classes=name)
         self._draw_again = draw
         self._x_formatter, self._y_formatter = self._over, self._along = _Ticks(), _Ticks()
@@ -114,7 +118,8 @@ class Chart(PlotWidget, inherit_bindings=False):
     def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
         """Show a drawing, for all of its time or for ``window`` (first, last); the title has as many words as fit.
 
-        A dial has no axes, and its circles are round. Without a range the values in sight give it.
+        A dial has no axes and no window, and its circles are round. Without a range the values in sight give it. Curves
+        without error bars are thinned to the dots there are. With a window the title says which key shows all.
         """
         time = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
         low, high = (-math.inf, math.inf) if drawing.dial else time

@@ -73,7 +73,10 @@ class Charts(Grid):
         self.styles.grid_rows = "1fr" if fits else "100%"
 
     def draw(self, only: int | None = None) -> None:
-        """Draw all charts, or only number ``only``; charts out of sight are skipped, those without a drawing hidden."""
+        """Draw all charts, or only number ``only``; charts out of sight are skipped, those without a drawing hidden.
+
+        A hidden chart that has a drawing again is shown at once and drawn when it has its size.
+        """
         for at, chart in enumerate(self._charts):
             if only not in (None, at):
                 continue

@@ -52,7 +52,10 @@ class Choices:
         return ["plan", "--json", *_given(self.script), *bench, *self.device_options]
 
     def run_arguments(self, recording: Path, scale: float | None) -> list[str]:
-        """Return the command line of a hosted run into ``recording``; ``scale`` None leaves it out."""
+        """Return the arguments of `station run`, hosted, into ``recording``; empty choices are left out.
+
+        ``scale`` is the speed of time, left out if None.
+        """
         given = {
             "--bench": self.bench,
             "--script": self.script,

@@ -50,7 +50,7 @@ class HelpDialog(StationDialog):
 
 
 def _group(title: str, keys: Sequence[Binding]) -> str:
-    """Return the lines of a group of keys, two entries a line; keys with the same description are one entry."""
+    """Return ``title`` and below it the keys, two entries a line; keys with the same description are one entry."""
     shown: dict[str, list[str]] = {}
     for binding in keys:
         name = binding.key_display or (binding.key.upper() if len(binding.key) > 1 else binding.key)

@@ -31,9 +31,9 @@ class RunChart:
 
 
 def run_drawing(name: str, run: LiveRun, sensor: Sensor) -> Drawing | None:
-    """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked.
+    """Return a chart of a run, one of ``RUN_CHARTS`` or ``series_charts``, with its steps marked except on a dial.
 
-    None for a series of a device that this run does not have. The run must have been seen.
+    None for a series of a device that this run does not have. ``run.seen`` must not be empty.
     """
     chart = _BY_NAME.get(name)
     if chart is not None and chart.dial:
@@ -48,7 +48,10 @@ def series_charts(snapshot: Snapshot) -> list[str]:
 
 
 def _series_drawing(name: str, run: LiveRun) -> Drawing | None:
-    """Return a column of a device's series over time, None if the run does not have it."""
+    """Return a column of a device's series over time, NaN in snapshots without it; None if the newest has none.
+
+    ``name`` is one of ``series_charts``.
+    """
     seen = run.seen
     names = series_charts(seen[-1])
     if name not in names:
@@ -75,9 +78,9 @@ def _name(run: LiveRun, sensor: Sensor) -> str:
 
 
 def _output(run: LiveRun, sensor: Sensor) -> Drawing:
-    """Return the output of a sensor over time, beside the one expected of it by the table, if that is known.
+    """Return the output of a sensor over time, beside the one expected of it by the table, if that is ever known.
 
-    Rates are in deg/s, forces in m/s2.
+    Rates are in deg/s, forces in m/s2; NaN in snapshots without the sensor.
     """
     times = _times_s(run)
     courses = _courses(run, sensor)
@@ -98,9 +101,10 @@ def _residual(run: LiveRun, sensor: Sensor) -> Drawing:
 
 
 def _nis(run: LiveRun, sensor: Sensor) -> Drawing:
-    """Return the mean NIS of the last half minute, with the band in which it stays by chance, and its limits.
+    """Return the mean NIS of the last half minute over time, with the 95 % band in which it stays by chance.
 
-    It is that of all gyros, or of the accelerometers of a source; limits are those of gyros.
+    For a gyro it is that of all gyros, with the limits of the bench if there are any; for an accelerometer that of the
+    accelerometers of its source, without limits. NaN where it is not known.
     """
     times = _times_s(run)
     of_gyros = isinstance(sensor, GyroSnapshot)
@@ -130,7 +134,10 @@ def _temperature(run: LiveRun, sensor: Sensor) -> Drawing:
 
 
 def _state(index: int, run: LiveRun, sensor: Sensor) -> Drawing:
-    """Return the chart of the live estimate of state number ``index`` of a gyro or accelerometer, with its limit."""
+    """Return the chart of the live estimate of state number ``index`` of a gyro or accelerometer, with its limit.
+
+    Without an estimate there is only a title, which has the name of an accelerometer.
+    """
     limits = run.limits
     trend = run.trends.get(sensor.full_name) or Trend()
     if not isinstance(sensor, GyroSnapshot):
@@ -142,8 +149,9 @@ def _state(index: int, run: LiveRun, sensor: Sensor) -> Drawing:
 
 
 def _axes(run: LiveRun, sensor: Sensor) -> Drawing:
-    """Return a dial of the gimbals, outermost outside, each with a hand at its angle, zero on top, and an arc to its
-    target; axes that turn are named first.
+    """Return a dial of the gimbals, outermost outside, each with a hand at its angle, zero on top.
+
+    One that turns has an arc to its target, if that is known, and is named first.
     """
     snapshot = run.snapshot or run.seen[-1]
     styles = dict(zip(sorted(axis.name for axis in snapshot.axes), _AXIS_STYLES, strict=False))

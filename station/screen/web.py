@@ -32,10 +32,10 @@ _POLICY = (
 
 
 def _guard(key: str, port: int) -> Any:
-    """Return a middleware that refuses other hosts and origins (403), and addresses without the key (404).
+    """Return a middleware that refuses other hosts and origins (403), and addresses with another key (404).
 
-    Allowed are this computer's own names with ``port``: pages of other sites reach the loopback by names of theirs, and
-    can open websockets.
+    Static files need no key. Allowed are this computer's own names with ``port``: pages of other sites reach the
+    loopback by names of theirs, and can open websockets.
     """
     from aiohttp import web
 
@@ -53,11 +53,10 @@ def _guard(key: str, port: int) -> Any:
 
 
 def serve(port: int, words: Sequence[str]) -> int:
-    """Serve the screen on the loopback until Ctrl-C; return 0. ``words`` are options of `station ui`; port 0 is any
-    free one.
+    """Serve the screen on the loopback until Ctrl-C, at an address with a secret key, which is printed; return 0.
 
-    Every page has its own process, which ends with the page; sessions continue. UsageError if the port is taken or a
-    package is missing.
+    ``words`` are options of `station ui`; port 0 is any free one. Every page has its own process, which ends with the
+    page; sessions continue. UsageError if the port is taken or a package is missing. Warnings are no longer logged.
     """
     try:
         from aiohttp import web

@@ -19,7 +19,9 @@ _BUDGET_WORDS = packaged_toml("station.views", "budget.toml")["terminal"]
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class MeanNoise:
-    """Noise, mean over the gyros: angle random walk, and the upper 95 % limits of the slower noise."""
+    """Noise, mean over the gyros whose noise is estimated: angle random walk, and the upper 95 % limits of bias
+    instability and rate random walk (deg/h/rt h).
+    """
 
     arw_dps_rthz: float
     instability_below_dph: float
@@ -51,7 +53,7 @@ class UndeclaredShare:
 
 
 def mean_noise(calibration: Calibration) -> MeanNoise | None:
-    """Return the estimated noise as a mean over the gyros; None if none is estimated."""
+    """Return the estimated noise as a mean over the gyros that have one; None if none is estimated."""
     found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
     if not found:
         return None
@@ -61,7 +63,10 @@ def mean_noise(calibration: Calibration) -> MeanNoise | None:
 
 
 def rest_noise(calibration: Calibration) -> RestNoise | None:
-    """Return the noise of the gyros at rest, and where their mean Allan deviation is least; None without rest."""
+    """Return the noise of the gyros at rest, and where their mean Allan deviation is least; None without rest.
+
+    Gyros without a rest are left out. The mean is over the averaging times that all curves have.
+    """
     rests = [gyro.rest for gyro in calibration.gyros if gyro.rest is not None]
     if not rests:
         return None
@@ -77,8 +82,8 @@ def rest_noise(calibration: Calibration) -> RestNoise | None:
 
 
 def budget_of(calibration: Calibration) -> Mapping[str, Floats]:
-    """Return the contributions to the sigmas (4,), rms over the gyros: noise, the table's uncertainty, and the
-    combination.
+    """Return by name the contributions to the sigmas (4,), rms over the gyros, in SI: noise, the table's uncertainty,
+    and last what they combine to.
 
     Empty if there is one contribution only, or gyros differ in them.
     """
@@ -92,9 +97,10 @@ def budget_of(calibration: Calibration) -> Mapping[str, Floats]:
 
 
 def undeclared_shares(calibration: Calibration, units: Units) -> list[UndeclaredShare]:
-    """Return by state the sigma with and without undeclared effects, rms over the gyros, and which add most to it.
+    """Return for each state the sigma with and without undeclared effects, rms over the gyros in SI, and the effects
+    that add most to it, if any.
 
-    Empty if there are no such effects.
+    ``units`` are those that the states are to be shown in. Empty if the calibration has no such effects, or no gyros.
     """
     if not calibration.undeclared or not calibration.gyros:
         return []

@@ -66,8 +66,9 @@ _EFFECTS = _effect_units()
 
 @cache
 def state_figures(units: Units) -> tuple[StateUnit, ...]:
-    """Return how each of the four states is shown, in the units of the bench file, for values, sigmas and limits
-    alike.
+    """Return how each of the four states is shown, in order, in the units of the bench file.
+
+    They are the same for values, sigmas and limits.
     """
     found = []
     for state, key in _TABLES["states"].items():
@@ -151,7 +152,8 @@ def human(value: float | None, sd: float | None, unit: str) -> str:
     """Return a value with its standard deviation, both in SI, as text in a readable unit, rounded to two digits of the
     latter.
 
-    "-" for None; four digits if there is no standard deviation.
+    ``unit`` is the SI unit; one without a readable counterpart is shown itself. "-" if the value is None; four digits if
+    the standard deviation is None, 0 or not finite.
     """
     if value is None:
         return UNKNOWN

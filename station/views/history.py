@@ -118,7 +118,10 @@ _ROW_KEYS = tuple(field.name for field in fields(HistoryRow) if field.name not i
 
 
 def row_object(row: HistoryRow) -> dict[str, Any]:
-    """Return a row for --json: the recording, what moved since the last comparable one, and states by gyro."""
+    """Return a row for --json: the recording, what moved since the last comparable one, and states by gyro.
+
+    A gyro's states are by their names, with "sd" their standard deviations. Values must be JSON's already.
+    """
     from station.views.json_values import named
 
     return {

@@ -12,9 +12,10 @@ from estimator.observations.allan.terms import Term
 
 
 def json_object(value: Any) -> Any:
-    """Return a value with dataclasses, dicts, sequences, arrays and numbers converted to JSON's types, all levels down.
+    """Return a value with dataclasses, dicts, lists, tuples, arrays and numbers converted to JSON's types, all levels
+    down.
 
-    null for floats that are not finite; anything else is returned as it is.
+    None for floats that are not finite; anything else is returned as it is. Keys of dicts are left as they are.
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -45,8 +46,10 @@ def term_object(term: Term) -> dict[str, Any]:
 
 
 def budget_and_noise(gyro: GyroCalibration) -> dict[str, Any]:
-    """Return a gyro's uncertainty budget by source and state, its noise, and its noise at rest, in SI; None where
-    unknown.
+    """Return, by "budget", "noise" and "noise_at_rest", a gyro's uncertainty budget by source and state, its noise, and
+    its noise at rest, in SI.
+
+    Either noise is None if it is unknown.
     """
     noise = gyro.noise and {
         "arw_rps_rthz": gyro.noise.mean.arw,

@@ -49,8 +49,9 @@ class LimitLine:
 
     @property
     def broken(self) -> str:
-        """The text for a broken limit: value and bound, or why there is no estimate. Call it only if the limit is
-        broken.
+        """The text for a broken limit: value and bound in the units shown, or why there is no estimate.
+
+        Call it only if the limit is broken.
         """
         if self.note:
             verb = "are" if ", " in self.gyro else "is"
@@ -68,7 +69,8 @@ class LimitLine:
     def cells(self) -> tuple[str, str, str, str]:
         """Subject, value, bound and the excess as a factor or percentage, as texts in the units of the states' table.
 
-        If there is no estimate, the value is the reason and the others are empty.
+        If there is no estimate, the value is the reason, and bound and excess are empty. Excess is also if the bound is
+        0. The bound is the one that is broken, or the upper one.
         """
         if self.note or not math.isfinite(self.value):
             return f"{self.gyro} {self.what}", self.note or "not known", "", ""
@@ -85,10 +87,10 @@ class LimitLine:
         return quantity, found, most, by if math.isfinite(ratio) else ""
 
     def _shown(self, bound: float, unit: str, factor: float) -> tuple[str, str]:
-        """Return the value in a unit and the bound as it was written, with the bound in that unit too if it was in
-        another.
+        """Return the size of the value in a unit, and the bound as it was written.
 
-        Both have enough digits to differ.
+        The bound is followed by itself in that unit if it was written in another, and is in that unit alone if it is
+        not known how it was written. Both have enough digits to differ. ``factor`` is that from SI to ``unit``.
         """
         found, most = (f"{text} {unit}".rstrip() for text in _apart(abs(self.value) * factor, bound * factor))
         if not self.written:
@@ -103,7 +105,7 @@ class LimitLine:
 
     @property
     def remedy(self) -> str:
-        """What usually helps where this limit is broken, "" for a value that is missing."""
+        """What usually helps where this limit is broken, a sentence, "" for a sensor without an estimate."""
         if self.of_u:
             return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
         if self.what == MEAN_NIS:
@@ -114,7 +116,7 @@ class LimitLine:
 
 
 def _apart(value: float, bound: float) -> tuple[str, str]:
-    """Return both values with four or more digits, as many as make them differ."""
+    """Return both values with four or more digits, as many as make them differ; 16 if they are equal."""
     for digits in range(4, 17):
         texts = tuple(np.format_float_positional(x, digits, fractional=False, trim="-") for x in (value, bound))
         if texts[0] != texts[1]:
@@ -131,10 +133,10 @@ MEAN_NIS, SAMPLES_LOST = "mean NIS", "samples lost"
 
 
 def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] | None = None) -> list[LimitLine]:
-    """Return every stated limit with its value: of states and sigmas, accelerometers, mean NIS and lost samples.
+    """Return every stated limit with its value, broken or not: of states and sigmas, accelerometers, NIS, lost samples.
 
-    ``labels`` name the gyros, by default their own names. A sensor that was excluded is a broken limit; accelerometers
-    that are excluded for one reason are one.
+    ``labels`` name the gyros in their order, by default their own names. A sensor that was excluded is a broken limit;
+    accelerometers of a source that are excluded for one reason are one. Without a mean NIS there is no limit of it.
     """
     unknown = [(e.name, e.reason) for e in calibration.excluded]
     for one in calibration.forces:
@@ -173,9 +175,9 @@ def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] 
 
 
 def _arm_lines(source: ForceCalibration, limits: ForceLimits, *, alone: bool) -> list[LimitLine]:
-    """Return the limits of the sigmas of the lever arm; ``alone``: no other device has accelerometers.
+    """Return the limits of the sigmas of the lever arm along x, y and z; ``alone``: no other device has accelerometers.
 
-    A joined calibration has a lever arm for each mounting and states none: there is nothing to limit.
+    Empty for a joined calibration, which has a lever arm for each mounting and states none.
     """
     label = "accel" if alone else f"{source.device or source.source} accel"
     if not source.placed:
@@ -207,7 +209,7 @@ def _state_lines(
     """Return the limits of a state and of its sigma, with the ``values`` of both that were found, in SI.
 
     ``bounds`` are the largest size and the largest sigma, each followed by its text in the bench file. ``label`` names
-    the sensor; ``row`` and ``state`` are those of a gyro in the calibration.
+    the sensor; ``row`` and ``state`` are numbers of a gyro in the calibration and its state, None for an accelerometer.
     """
     (value, sd), (size, written_size, most_sd, written_sd) = values, bounds
     of_state = LimitLine(

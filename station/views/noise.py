@@ -60,7 +60,7 @@ def lengths_s(noise: SensorNoise, share: float) -> tuple[float, ...]:
 def noise_object(noise: SensorNoise, share: float) -> dict[str, Any]:
     """Return the noise of a sensor as --json prints it, in SI; null for a recording length of more than three years.
 
-    ``share`` is the relative uncertainty for which the lengths to record are given.
+    ``share`` is the relative uncertainty, between 0 and 1, for which the length to record is given with each term.
     """
     curve = noise.curve
     parts = zip(TERMS, lengths_s(noise, share), strict=True)
@@ -78,7 +78,7 @@ def noise_object(noise: SensorNoise, share: float) -> dict[str, Any]:
 
 
 def warnings_of(noises: Sequence[SensorNoise]) -> list[str]:
-    """Return a sentence for each sensor whose noise N, B and K do not describe."""
+    """Return a sentence for each sensor whose noise N, B and K do not describe at some frequency; none if they do."""
     found = []
     for noise in noises:
         terms = noise.terms
@@ -91,8 +91,8 @@ def warnings_of(noises: Sequence[SensorNoise]) -> list[str]:
 
 
 def filter_notes(noises: Sequence[SensorNoise]) -> list[str]:
-    """Return a sentence for each averaging time from which N, B and K hold, other than the shortest, with its
-    sensors.
+    """Return a sentence, with the sensors, for each averaging time from which N, B and K hold, if it is not the shortest
+    of the curve.
     """
     found = []
     for shortest_s in dict.fromkeys(noise.terms.shortest_s for noise in noises if noise.terms.trimmed):

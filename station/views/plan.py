@@ -98,7 +98,8 @@ def hidden_effects(forecast: Forecast, figures: tuple[StateUnit, ...]) -> list[H
     """Return the effects with an unseen parameter that shifts a state by ``MARKED`` sigmas, each with its worst
     parameter.
 
-    The number of its other such parameters is given with it.
+    Parameters have their largest plausible size. The number of other such parameters is given with an effect;
+    ``figures`` are the units that shifts are given in.
     """
     gyros = [gyro.name for gyro in forecast.gyros]
     hidden = []
@@ -147,7 +148,10 @@ def unnoticed(forecast: EffectForecast) -> Floats:
 
 
 def combination(direction: Floats) -> str:
-    """Return a direction (4,) of the states in words, such as "k + 0.58 sigma_j"; a bias in it is in rad/s."""
+    """Return a direction (4,) of the states in words, such as "k + 0.58 sigma_j"; a bias in it is in rad/s.
+
+    Factors of 1 and parts that are 0 are left out.
+    """
     text = ""
     for value, name in zip(direction, _STATES, strict=True):
         if value == 0:

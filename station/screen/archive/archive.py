@@ -40,11 +40,11 @@ class Archive:
         self.unread = 0
 
     async def entries(self, folder: Path, *, deep: bool = True) -> AsyncGenerator[Entry]:
-        """Yield the recordings of a folder and, if ``deep``, its subfolders: indexed ones first, then ``unread``
-        others.
+        """Yield the recordings of a folder and, if ``deep``, its subfolders: known or indexed ones first, then others.
 
-        Both are in the order of their last change, newest first. New entries are indexed, except unreadable ones, which
-        are tried again next time. HDF5 files that are not recordings are left out.
+        Both are in the order of their last change, newest first; ``unread`` counts the others that remain. New entries
+        are indexed, except unreadable ones, which the next program tries again, and files that changed just now. HDF5
+        files that are not recordings, and files that are gone by then, are left out.
         """
         from station.screen.archive import index  # with SQLite: not before the first picture
 
@@ -91,8 +91,9 @@ class Archive:
             await asyncio.to_thread(pool.join)
 
     async def _read_all(self, files: Sequence[File]) -> AsyncGenerator[tuple[File, Entry]]:
-        """Yield each file with its entry, in order; many files are read by more processes, which are closed at
-        the end.
+        """Yield each file with its entry, in order, a few being read ahead; what is not yielded is cancelled.
+
+        More than 200 files are read by processes of their own, two a core, which are closed at the end.
         """
         many = len(files) > _MANY
         readers, tasks = Archive(2 * (os.cpu_count() or 1)) if many else self, deque[asyncio.Task[ReadRecording]]()
@@ -133,8 +134,9 @@ class Archive:
 
 
 async def moved(recording: Path) -> list[Move]:
-    """Return what moved since the last comparable run in the recording's folder, as far as that is read in some
-    seconds.
+    """Return what moved since the last comparable run in the recording's folder, without subfolders.
+
+    Only what is read within ten seconds counts. Empty if nothing moved, or the run is not comparable or not read.
     """
     archive, found = Archive(), list[Entry]()
     entries = archive.entries(recording.absolute().parent, deep=False)
@@ -160,8 +162,9 @@ def _done(work: str, *about: Any) -> Any:
 
 
 def _files(folder: Path, deep: bool) -> list[File]:
-    """Return path, time of change and size of the .h5 files in a folder, newest first; unreadable folders are listed,
-    too.
+    """Return path, time of change and size of the .h5 files in a folder and, if ``deep``, below it, newest first.
+
+    Only regular files are listed, and folders that cannot be read, with time and size 0.
     """
     found: list[File] = []
     walk = os.walk(folder, onerror=lambda e: found.extend([(e.filename, 0, 0)] * os.path.exists(e.filename)))  # told

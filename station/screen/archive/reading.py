@@ -65,7 +65,7 @@ def read(path: Path, when_utc_s: float, with_samples: bool) -> ReadRecording:
     raises.
 
     ``when_utc_s`` is the time of its last change, used if the recording has no clock. A run that was cut off is
-    recovered first.
+    recovered first, in the file. Another HDF5 file is ``foreign``; a recording of a later format is unreadable.
     """
     unread = Entry(str(path), when_utc_s)
     with suppress(RecordingError):  # of a run in progress, or in a write-protected place: shown unrecovered
@@ -160,7 +160,11 @@ def _whole(entry: Entry, file: Any) -> ReadRecording:
 
 
 def _judged(recording: ReadRecording, bench: str) -> ReadRecording:
-    """Return the recording with the limits of its bench, and the broken ones if its recorded reason names the same."""
+    """Return the recording with the limits of its bench, and the broken ones if its recorded reason names the same.
+
+    ``bench`` is the text of the bench file. The broken ones are worst first, and what else the reason says becomes
+    ``because``. Limits or broken ones are left as they are if bench file or calibration cannot be read.
+    """
     from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
     from station.views.limits import limit_lines, worst_first
 
@@ -195,7 +199,7 @@ def _exceeded(line: "LimitLine") -> Exceeded:
 
 
 def _curves(file: Any) -> dict[str, Trend]:
-    """Return the live estimates by full name of the gyro, thinned to a number of points."""
+    """Return the live estimates by full name of the gyro, thinned to less than 800 points; empty without any."""
     found = {}
     for source, estimate in file.get("estimate", {}).items():
         step = max(len(estimate["t_ns"]) // _MOST_POINTS, 1)
@@ -208,7 +212,10 @@ def _curves(file: Any) -> dict[str, Trend]:
 
 
 def _investigation(recording: Path) -> InvestigationAnswer | None:
-    """Return the newest investigation stored beside a recording; None if there is none, or none with a verdict."""
+    """Return the newest investigation stored beside a recording; None if there is none, or it has no verdict.
+
+    Raises what h5py and JSON raise for a damaged file.
+    """
     kept = recording.parent.glob(f"{recording.stem}{INVESTIGATION}*.h5")
     newest = max(kept, key=lambda path: path.stat().st_mtime, default=None)
     if newest is None:

@@ -50,14 +50,18 @@ def register_file() -> Path:
 def check_number(number: str, data_sha256: str, folder: Path) -> None:
     """See that no other recording has a document of this number; ``folder`` is that of the recording.
 
-    Raises UsageError that names the other recording, or that the register cannot be read.
+    Recordings with the same raw data, by ``data_sha256``, count as one. UsageError that names the other recording, or
+    that the register cannot be read.
     """
     with _register() as register:
         _check(register, number, data_sha256, folder)
 
 
 def enter(document: Document) -> None:
-    """Enter a document, replacing one with the same number and data; UsageError as ``check_number``."""
+    """Enter a document in the register, replacing one with the same number and data, and in the list of its folder.
+
+    UsageError as for ``check_number``. A list that cannot be written to is ignored.
+    """
     folder = Path(document.recording).parent
     with _register() as register:
         register.execute("BEGIN IMMEDIATE")
@@ -82,9 +86,9 @@ def _check(register: sqlite3.Connection, number: str, data_sha256: str, folder: 
 
 
 def _listed(folder: Path) -> Iterator[Document]:
-    """Yield the documents of the list in a folder; none if it is not a regular file or cannot be read.
+    """Yield the documents of the list in a folder; none if there is no list, it is a link, or it cannot be read.
 
-    Damaged lines are skipped, as others may write there.
+    Damaged lines are skipped, as others may write there, and what is beyond 16 MiB.
     """
     try:
         with open(os.open(folder / LIST, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
@@ -108,8 +112,9 @@ def _add(document: Document, folder: Path) -> None:
 
 @contextmanager
 def _register() -> Iterator[sqlite3.Connection]:
-    """Context that opens the user's register of documents; UsageError if it cannot be used or others can write to
-    it.
+    """Context that opens the user's register of documents, made if missing; changes are undone by an exception.
+
+    UsageError if it cannot be used, also within the context, or others can write to its folder.
     """
     path = register_file()
     try:

@@ -25,7 +25,8 @@ def validity_on(entries: Iterable[Entry], serial: str, day: date) -> Validity:
     """Return the calibration of the device with this serial number that was valid on ``day``, or the reason for none.
 
     It is the newest run up to that day that ended PASS, if no later one up to that day ended FAIL, and if the next
-    calibration stated in the certificate form beside the recording was not due before that day.
+    calibration stated in the certificate form beside the recording was not due before that day. With a reason the entry
+    is the run that stands against it, None if there is no run. UsageError if the form cannot be read.
     """
     judged = [e for e in entries if e.serial == serial and e.gyros and e.texts.get("outcome") in _JUDGED]
     earlier = [entry for entry in judged if _day_of(entry) <= day]
@@ -47,7 +48,10 @@ def _day_of(entry: Entry) -> date:
 
 
 def _next_due(entry: Entry) -> date | None:
-    """Return the date of the next calibration stated for a recording; None if none is stated."""
+    """Return the date of the next calibration stated in the form of a recording; None without a form or a date in it.
+
+    UsageError if the form cannot be read.
+    """
     from station.report.formal import kept_facts
 
     kept = kept_facts(entry.path)

@@ -73,7 +73,7 @@ def form_lines(form: Form, checked: Checked) -> Iterator[FormLine]:
 
 
 def _tables(entered: Mapping[str, str]) -> Iterator[str]:
-    """Yield the tables of the form, such as "customer" or "equipment.0"; of a list one more than there are."""
+    """Yield the tables of the form, such as "customer" or "equipment.0"; a list has one after its last with a text."""
     for name, section in SECTIONS.items():
         if section.kind != "tables":
             yield name
@@ -97,7 +97,8 @@ def _section(table: str) -> str:
 def _form_line(form: Form, checked: Checked, table: str, key: Key) -> FormLine:
     """Return the line of a field: its text, and where that comes from, what is wrong with it, or that it is missing.
 
-    Entered text goes before that of the recording, and that before the bench file.
+    Entered text goes before that of the recording, and that before the bench file. A text that no origin has is
+    remarked as entered.
     """
     field = f"{table}.{key.name}"
     # A list of the bench file is taken over as a whole, or not at all.

@@ -44,7 +44,7 @@ def measured_text(view: MeasuredView) -> Text:
 
 
 def _accelerometer_lines(snapshot: Snapshot) -> list[Text]:
-    """Return the states of the accelerometers, what those of a source have in common, and which are left out.
+    """Return the states of the accelerometers, lever arm, delay and NIS of each source, and which are left out and why.
 
     Empty without accelerometers.
     """
@@ -75,8 +75,9 @@ def _judgement_of_forces(arm: ArmSnapshot) -> tuple[str, str]:
 
 
 def _axis_lines(view: MeasuredView) -> list[Text]:
-    """Return a line for each axis below the headings, by name; an axis that turned last is at rest once nothing
-    moves.
+    """Return a line for each axis below the headings, in order of the names: angle, rate and setpoint in deg, state.
+
+    Once nothing moves, rates and setpoints are 0, and an axis that turned last is at rest.
     """
     axes = sorted(view.snapshot.axes, key=lambda axis: axis.name)
     heads = ["axis", "     angle deg", "    rate deg/s", "setpoint deg/s"]
@@ -105,7 +106,7 @@ def _sources_in_a_line(snapshot: Snapshot) -> Text:
 
 
 def sources_text(snapshot: Snapshot) -> Text:
-    """Return all sources, the traffic of the links, and the innovations of the filter."""
+    """Return all sources, the traffic of the links, and NIS and whiteness of the filter's innovations, judged."""
     lines = [text for text, _ in _source_table(snapshot)]
     lines += [line((traffic, _DIM)) for traffic in snapshot.links]
     mean, recent = number(snapshot.nis_mean, 3), number(snapshot.nis_recent, 3)
@@ -122,7 +123,10 @@ def _troubled_sources(snapshot: Snapshot) -> list[Text]:
 
 
 def _source_table(snapshot: Snapshot) -> list[tuple[Text, bool]]:
-    """Return the headings and a line for each source, each with whether it is as it should be."""
+    """Return the headings and a line for each source, each with whether it is as it should be.
+
+    It is if its link is well and no sample was lost or corrupt; else its line is red. The headings count as well.
+    """
     heads = ["source", "     Hz", " samples", "lost", "late", "corrupt", "latency ms", "jitter ms", "degC", "     link"]
     head, *rows = padded([heads, *map(_source_row, snapshot.sources)])
     table = [(line((" ".join(head), _BOLD)), True)]

@@ -91,7 +91,7 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def _ended(run: LiveRun, width: int) -> list[Text]:
-    """Return the outcome with its reason, or that there is no result and why."""
+    """Return the outcome with its reason, or that there is no result and why, in four lines of ``width`` at most."""
     head = "NO RESULT" if run.result is None else run.outcome
     reason = run.trouble if run.result is None else run.result.reason
     first, *others = _wrapped(f"{head}  {reason}", width) or [head]
@@ -141,7 +141,7 @@ def _axis_limits(axis: DrivenAxis) -> str:
 
 
 def _keys() -> Text:
-    """Return the line of keys; the words of ``manual.toml`` are longer, for the help."""
+    """Return the line of keys of manual mode; the words of ``manual.toml`` are longer, for the help."""
     keys = (
         (", .", "jog - +   "),
         ("a", "axis  "),

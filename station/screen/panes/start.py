@@ -45,7 +45,7 @@ def ready_text(view: StartView) -> Text:
     """Return what stands against a start, a line each, or that nothing is missing.
 
     A mounted device is announced above, as its run starts automatically. Sigmas that the script cannot reach are a note
-    and no obstacle.
+    below and no obstacle, but it does not say then that nothing is missing.
     """
     lines = [line(("Before START", TITLE))]
     if view.mounted:
@@ -80,8 +80,9 @@ def limits_text(limits: "Limits | None") -> Text:
 
 
 def _stated_limits(limits: "Limits") -> list[str]:
-    """Return the limits that the bench states, in its words: of states, accelerometers, mean NIS and lost samples; left
-    out if infinite.
+    """Return the limits that the bench states, in its words: of states, accelerometers, mean NIS and lost samples.
+
+    Those that limit nothing are left out.
     """
     rows = zip(_LIMITED, limits.sizes, limits.written_sizes, limits.sds, limits.written_sds, strict=False)
     stated = _state_limits(rows)
@@ -102,7 +103,10 @@ def _stated_force_limits(limits: "ForceLimits") -> list[str]:
 
 
 def _state_limits(rows: Iterable[tuple[str, float, str, float, str]]) -> list[str]:
-    """Return limits in words; rows hold the name, the largest size and sigma of states, each as written, too."""
+    """Return limits in words, one for each state that has any; infinite ones are left out.
+
+    A row is the name of a state, its largest size, that as it is written, its largest sigma, that as it is written.
+    """
     stated = []
     for name, size, written_size, sd, written_sd in rows:
         words = f"{name} up to {written_size}"

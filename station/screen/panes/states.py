@@ -42,7 +42,7 @@ class StatesView:
 def state_lines(view: StatesView) -> list[Text]:
     """Return a line for each gyro below two lines of headings; figures beyond a limit are red.
 
-    Names that two sources have are preceded by that of the source.
+    Names that two sources have are preceded by that of the source. The NIS comes last if the view is ``with_nis``.
     """
     heads = _headings(view.figures, "±", view.kind)
     times = Counter(gyro.name for gyro in view.gyros)
@@ -114,7 +114,7 @@ def _why_no_change(view: ChangeView) -> str:
 
 
 def _change_lines(view: ChangeView) -> list[Text]:
-    """Return a line for each gyro that both calibrations have, below two lines of headings."""
+    """Return a line for each gyro that both calibrations have, below two lines of headings; yellow if it moved."""
     rows = _headings(view.figures, "sigmas")
     styles = [_BOLD] * len(rows)
     for new in view.gyros:
@@ -128,7 +128,7 @@ def _change_lines(view: ChangeView) -> list[Text]:
 def _change_row(old: GyroSnapshot, new: GyroSnapshot, figures: Sequence[StateUnit]) -> list[str]:
     """Return the name of a gyro and, for each state, its change in the unit shown and in sigmas of the difference.
 
-    Sigmas are left blank if they are 0.
+    The latter is a dash if these sigmas are 0.
     """
     cells = [new.name]
     for at, figure in enumerate(figures):

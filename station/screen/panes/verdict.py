@@ -29,7 +29,7 @@ class VerdictView:
 def verdict_text(view: VerdictView) -> Text:
     """Return the outcome with its reasons, who measured what and when, the file, and what is under way or was done.
 
-    Without a recording it says what to do.
+    Without a recording it says what to do; before the recording is read, outcome and names are missing.
     """
     if view.path is None:
         return line("No run has ended yet. F5 opens a recording, F2 prepares a run.")
@@ -43,7 +43,10 @@ def verdict_text(view: VerdictView) -> Text:
 
 
 def _outcome_lines(recording: ReadRecording) -> list[Text]:
-    """Return why a recording cannot be read, or its outcome or exceeded limits, date, names, and acceptance."""
+    """Return only why a recording cannot be read, or its outcome, date, names, and acceptance if it was accepted.
+
+    With the outcome are exceeded limits if they are known, else its reasons.
+    """
     entry = recording.entry
     if entry.wrong:
         return [line(("CANNOT BE READ", "bold red"), f"  {entry.wrong}")]
@@ -78,7 +81,10 @@ def _outcome(entry: Entry) -> Text:
 
 
 def _limits_exceeded(recording: ReadRecording) -> list[Text]:
-    """Return lines on the exceeded limits: how many, possible causes, a table of the worst, remedies."""
+    """Return lines on the exceeded limits: the outcome and how many, possible causes, the four worst, remedies of all.
+
+    The worst with a bound are a table, those without an estimate are below it.
+    """
     count = len(recording.broken)
     worst = recording.broken[:_MOST]
     limits = "limit" if count == 1 else "limits"
@@ -102,7 +108,10 @@ def _table(limits: Sequence[Exceeded]) -> list[Text]:
 
 
 def record_text(recording: ReadRecording) -> Text:
-    """Return all reasons and exceeded limits that the verdict leaves out, what was excluded, notes and events."""
+    """Return the record of a recording: what was excluded, notes, and events with their instants in s.
+
+    All reasons, or exceeded limits, come first if there are more than the four that the verdict shows.
+    """
     lines = [line(("Record", TITLE))]
     reasons = _reasons(recording.entry)
     if len(reasons) > _MOST and not recording.broken:

@@ -35,7 +35,10 @@ class SentLimits:
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> Self:
-        """Return the limits in an object of JSON; a session of another version may lack how they were written."""
+        """Return the limits in an object of JSON; what is missing there has its default, as of another version.
+
+        TypeError or ValueError for a limit that is no number.
+        """
         forces = data.get("forces")
         sizes, written = _sizes(data, _STATES)
         force_sizes, force_written = _sizes(forces if isinstance(forces, Mapping) else {}, _FORCE_STATES)
@@ -76,7 +79,10 @@ class Greeting:
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> Self:
-        """Return the greeting in an object of JSON; KeyError, TypeError or ValueError if it is none."""
+        """Return the greeting in an object of JSON; KeyError, TypeError or ValueError if it is none.
+
+        Bench file, manual mode, axes and limits may be missing; bench, recording and script may not.
+        """
         script = data["script"]
         return cls(
             bench=str(data["bench"]),

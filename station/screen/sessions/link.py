@@ -25,8 +25,10 @@ class SessionLink:
         self._remote: RemoteSession | None = None
 
     async def follow(self, changed: Callable[[], None]) -> None:
-        """Receive the session's messages until it has ended, reconnecting if necessary; ``changed`` is called at each
-        new stage.
+        """Receive the session's messages until it has ended, reconnecting if necessary; then close the connection.
+
+        ``changed`` is called at each new stage of ``run``. If the session is gone without a result, it ends with a
+        reason.
         """
         try:
             while self.run.stage is not Stage.ENDED:
@@ -42,7 +44,8 @@ class SessionLink:
     def stop(self) -> bool:
         """Stop the run at once; may be called from any thread. Return whether the request could be sent.
 
-        It is repeated on every new connection, so that a lost request takes effect.
+        Without a connection that takes it the process is interrupted. The request is repeated on every new connection,
+        so that a lost one takes effect.
         """
         self.run.ask_to_stop()
         remote = self._remote
@@ -99,10 +102,10 @@ class SessionLink:
                 await asyncio.sleep(_LOOK_S)
 
     async def _listen(self, socket: Path, changed: Callable[[], None]) -> None:
-        """Connect to the session and receive its messages until the connection ends; then wait a little before the next
-        attempt.
+        """Connect to the session, and receive its messages until the connection ends or cannot be made.
 
-        A STOP that was asked for is sent again, or the process is interrupted if the session does not answer.
+        A STOP that was asked for is sent again, or the process is interrupted if the session does not answer. Unless
+        the run has ended, its stage becomes LOST, with the reason, and the next attempt has to wait a second.
         """
         why = "the connection to the session broke"
         try:
@@ -124,7 +127,10 @@ class SessionLink:
             await asyncio.sleep(_AGAIN_S)
 
     async def _take(self, remote: RemoteSession) -> None:
-        """Pass on the session's messages; after the first snapshot ask for the earlier course of its estimates."""
+        """Pass on the session's messages; after the first snapshot ask for the earlier course of its estimates.
+
+        Not asked again on a later connection, when there are trends already.
+        """
         asked = bool(self.run.trends)
         async for message in remote.messages():
             self.run.take(message)
@@ -140,9 +146,10 @@ class SessionLink:
 
 
 async def sessions_on(bench: str, bench_file: str) -> list[str]:
-    """Return the process numbers of the sessions on a bench, known by its name or file.
+    """Return the process numbers, as texts, of the sessions on a bench, known by its name or file.
 
-    A session that does not say its bench is included, as it may hold the same devices.
+    ``bench_file`` is empty for the built-in bench. A session that does not say its bench is included, as it may hold
+    the same devices.
     """
     file = await asyncio.to_thread(lambda: str(Path(bench_file).resolve())) if bench_file else None
     return [
@@ -171,7 +178,10 @@ async def _hello(path: Path) -> Greeting | None:
 
 
 async def stop_session(path: Path) -> None:
-    """Stop a session by its socket, or interrupt its process if it does not answer."""
+    """Stop a session by its socket ``path``, or interrupt its process if it does not answer.
+
+    Whether either took effect is not seen.
+    """
     try:
         remote = await RemoteSession.connect(path)
     except UsageError:

@@ -39,9 +39,10 @@ class Trend:
     sds: list[tuple[float, ...]] = field(default_factory=list)
 
     def add(self, t_s: float, values: tuple[float, ...], sds: tuple[float, ...]) -> None:
-        """Add an estimate of the four states with their sigmas, unless its time or its values are those of the last.
+        """Add an estimate of the four states with their sigmas, in SI.
 
-        When there are too many points, every other one is dropped.
+        Ignored if its time is not after the last, or its values are the last ones. Beyond 1200 points every other one
+        is dropped.
         """
         if self.values and (self.values[-1] == values or t_s <= self.times_s[-1]):
             return
@@ -104,7 +105,10 @@ class LiveRun:
 
     @property
     def steps_begin_s(self) -> list[float]:
-        """The beginnings of steps (s): by plan if all durations are known in advance, else as seen so far."""
+        """The beginnings of steps (s): by plan if all durations are known in advance, else as seen so far.
+
+        Empty before the greeting.
+        """
         if self.hello is None:
             return []
         if self.hello.steps_begin_s is not None:
@@ -145,7 +149,8 @@ class LiveRun:
     def greet(self, hello: Mapping[str, Any]) -> None:
         """Take the greeting of a first or later connection; past events will be sent again, so they are cleared.
 
-        KeyError, TypeError or ValueError for an object that is no greeting.
+        The stage becomes RUNNING; recording and script are those of the greeting. KeyError, TypeError or ValueError for
+        an object that is no greeting.
         """
         self.hello = Greeting.read(hello)
         self.recording = self.hello.recording_path
@@ -156,7 +161,7 @@ class LiveRun:
         self._heard_s = time.monotonic()
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """Update the state from a message of the session, by its kind; a result ends the run.
+        """Update the state from a message: snapshot, event, course, refused, or result, which ends the run.
 
         Malformed messages and unknown kinds change nothing, but show that the session is alive.
         """
@@ -184,7 +189,10 @@ class LiveRun:
             self.stage, self.trouble = stage, why
 
     def _take_course(self, points: Sequence[Mapping[str, Any]]) -> None:
-        """Prepend earlier estimates to the trends; incomplete points are skipped."""
+        """Prepend earlier estimates to the trends; a sensor with a null in a point is skipped there.
+
+        ``points``, oldest first, have "t_s" and "sensors", by full name the values and the sigmas of the four states.
+        """
         found: dict[str, Trend] = {}
         for point in points:
             for name, (values, sds) in point["sensors"].items():
@@ -199,7 +207,8 @@ class LiveRun:
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         """Make a snapshot the newest; if time has advanced, add it to the history, and its estimates to the trends.
 
-        Of too long a history every other snapshot is dropped. Estimates that are not finite are left out.
+        Of a history of more than 1200 every other snapshot is dropped, but not the first and the last. Sensors with
+        estimates that are not finite are left out. Also notes whether the table has moved.
         """
         self.snapshot = snapshot
         self.moved = self.moved or snapshot.phase in _MOVING or snapshot.elapsed_s > 0

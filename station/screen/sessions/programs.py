@@ -64,7 +64,7 @@ async def ask(
 
 
 async def _listen(stream: asyncio.StreamReader, on_line: Callable[[str], None]) -> str:
-    """Pass on each line of a stream that is not blank; return the last one."""
+    """Pass each line of a stream that is not blank, stripped, to ``on_line``; return the last one, "" if none."""
     last = ""
     async for raw in stream:
         line = raw.decode(errors="replace").strip()
@@ -109,7 +109,7 @@ class SessionProcess:
     def __init__(self, arguments: Sequence[str]) -> None:
         """Start the station with these arguments in a session of its own; OSError if that fails.
 
-        The process outlives this one. What it prints is stored for its end.
+        The process outlives this one. What it prints on stdout and stderr is stored, for ``reason``.
         """
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read when the process has ended
         self._code: int | None = None
@@ -143,7 +143,10 @@ class SessionProcess:
         return self._code is None and interrupt(self.pid)  # else its number may be another's by now
 
     def reason(self) -> str:
-        """Return why a run ended before it began: the reason in its JSON, else its last line, else its exit code."""
+        """Return why a run ended before it began: the last reason in its JSON, else its last line, else its exit code.
+
+        Without output it is "it runs" while it does.
+        """
         self._output.seek(0)
         lines = [line for line in self._output.read().decode(errors="replace").splitlines() if line.strip()]
         given = [str(reason) for line in lines if (reason := _object(line.encode()).get("reason"))]

@@ -89,7 +89,10 @@ async def fill_in(app: Any, recording: ReadRecording) -> None:
 
 
 def _checked(recorded: "Recorded", file: Path, toml: str) -> Checked:
-    """Return whether the facts in a TOML text can be read as those of a recording, and where they cannot."""
+    """Return the facts in the TOML text for ``file``, read as those of a recording, or why that is impossible.
+
+    The field of the fault is given where the error names one.
+    """
     from station.report.formal import read_formal
 
     try:
@@ -100,7 +103,7 @@ def _checked(recorded: "Recorded", file: Path, toml: str) -> Checked:
 
 
 def _answers(form: Form, checked: Checked, width: int) -> list[tuple[str, str]]:
-    """Return the lines to choose from, with the field of each."""
+    """Return the lines to choose from, each a field and its words for ``width`` columns; the last one saves all."""
     answers = []
     table = ""
     for line in form_lines(form, checked):
@@ -120,8 +123,9 @@ def _edited(form: Form, texts: Mapping[str, str]) -> dict[str, str]:
 def _stated(recording: ReadRecording) -> tuple["Recorded", tuple[Path, Path], Mapping[str, Mapping[str, str]]]:
     """Return the recording without samples, the two files for facts, and the facts stated so far, by their origin.
 
-    The files are that of this recording and that of the last form of this bench; the latter is looked at only if the
-    former does not exist. UsageError if the former cannot be read.
+    The files are that of this recording and that of the last form of this bench. The latter is looked at only if the
+    former does not exist, for facts that last from job to job, and is ignored if it cannot be read. Origins that take
+    precedence come first. UsageError or TOMLDecodeError if the former or the recorded bench file cannot be read.
     """
     from estimator.recordings.recording import Recording
     from station.report.formal import kept_facts

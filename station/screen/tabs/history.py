@@ -123,10 +123,10 @@ class HistoryScreen(StationScreen):
             self.redraw()
 
     def _show(self) -> None:
-        """Fill the table with the entries that contain all words of the filter, in the chosen order, and redraw the
-        trend.
+        """Fill the table with the entries that contain all words of the filter in any column, and redraw the trend.
 
-        At most ``_MOST_ROWS`` are in the table; the line above says how many match.
+        They are in order of the chosen column, newest first if that is the date. At most ``_MOST_ROWS`` are in the
+        table; the line above says how many match. The cursor stays in its row.
         """
         words = self.query_one("#device", Input).value.lower().split()
         rows = [(entry, _cells(entry)) for entry in self._entries]
@@ -156,7 +156,8 @@ class HistoryScreen(StationScreen):
     def redraw(self) -> None:
         """Choose the recording under the cursor, and show the trend of its device for the chosen gyro.
 
-        ``recording`` becomes its path, None without one. Nothing is done before the screen is built.
+        ``recording`` becomes its path, None without one. Charts are hidden without a calibration. The table is filled
+        again if the width has changed its columns. Nothing is done before the screen is built.
         """
         if not self.query(Charts):
             return

@@ -98,8 +98,8 @@ class ManualScreen(StationScreen):
     def action_drive(self, word: str) -> None:
         """Carry out ``word``: axis, slower, faster, go, hold, end or home; any other is a sign, to jog.
 
-        The first three change the chosen axis or rate, ``go`` asks for an angle; the others are sent to the session,
-        with axis and rate where they need them. Nothing without a table to drive.
+        The first three change the chosen axis, or the rate up to that of the axis; ``go`` asks for an angle. The others
+        are sent to the session, with axis and rate where they need them. Nothing without a table to drive.
         """
         view = self.manual_view()
         if view is None:

@@ -126,7 +126,10 @@ class PrepareScreen(StationScreen):
         self.redraw()
 
     def action_enter(self) -> None:
-        """Go to the next field or press the focused button; a scanned serial number is put into its field instead."""
+        """Go to the next field or press the focused button; a scanned serial number is put into its field instead.
+
+        In a field with an operator this confirms who it is.
+        """
         at = self.focused
         if self._take_scan():
             return
@@ -171,7 +174,10 @@ class PrepareScreen(StationScreen):
             return False
 
         def put() -> None:
-            """Restore the field that was scanned into, put the number into the serial field, and select it."""
+            """Restore the field that was scanned into, put the number into the serial field, and select it.
+
+            An enlarged chart goes back.
+            """
             if field is not None:
                 field.value = before
             if self.maximized is not None:  # the scan held the key that enlarges a chart
@@ -187,7 +193,8 @@ class PrepareScreen(StationScreen):
     def _is_serial(self, text: str, field: Input | None, before: str) -> bool:
         """Return whether a text typed at once, into ``field`` or none, can be a serial number.
 
-        It must match the pattern. In an empty operator field it is a badge; in other fields it must not be a file.
+        It must match the pattern, if one is known. In an operator field that was empty ``before`` it is a badge; in
+        other fields it must not be a file.
         """
         pattern = self._burst_pattern
         if pattern and not matches(pattern, text):
@@ -204,7 +211,10 @@ class PrepareScreen(StationScreen):
             self.action_look_again()
 
     def on_screen_resume(self) -> None:
-        """Read bench and script after the first picture; again if others were chosen or a session has ended."""
+        """Read bench and script after the first picture; again if a session has ended.
+
+        If others were chosen they are filled in first.
+        """
         ended = self.station.shown is not self._run_before and not self.station.busy
         if self.station.choices is not self._chosen:
             self.on_mount()
@@ -247,7 +257,10 @@ class PrepareScreen(StationScreen):
             self.station.start_run(self._prospect)
 
     async def _look(self, choices: Choices) -> None:
-        """Read bench and script, then check the devices and plan at the same time; stops if the bench is invalid."""
+        """Read bench and script, then check the devices and plan at the same time; stops if the bench is invalid.
+
+        The fields of both suggest the files found.
+        """
         found = await asyncio.to_thread(look_ahead, choices)
         self._prospect = found
         for field in ("#bench", "#script"):
@@ -258,8 +271,9 @@ class PrepareScreen(StationScreen):
         await asyncio.gather(self._look_at_devices(choices, found), self._look_at_plan(choices, found))
 
     async def _look_at_devices(self, choices: Choices, prospect: Prospect) -> None:
-        """Run `station check`, unless a session uses the bench or it is hardware that is only remembered from the last
-        run.
+        """Run `station check` and suggest the serial number that it reports.
+
+        Only why not is shown if a session uses the bench, or it is hardware that is only remembered from the last run.
         """
         if self.station.bench_recalled and not prospect.all_twins:
             self._checking = f"bench {prospect.bench} was used in the last run and is real hardware: F6 opens it"
@@ -299,8 +313,9 @@ class PrepareScreen(StationScreen):
             field.select_all()  # the next scan, at any time, replaces it
 
     def action_confirm_serial(self) -> None:
-        """Ask why a device that reports another number is the right one; the reason is recorded. Nothing if they
-        agree.
+        """Ask why a device that reports another number is the right one; the reason is recorded.
+
+        Nothing unless a number was entered, one is reported, and they differ.
         """
         entered, device = self.station.choices.serial, self._reported_serial()
         if device and entered and entered != device:
@@ -328,7 +343,8 @@ class PrepareScreen(StationScreen):
     def _obstacles(self) -> list[Obstacle]:
         """Return what prevents a start: a running session, the entries, bench, script, folder, devices and plan.
 
-        Devices and plan are left out while the bench cannot be read.
+        Devices and plan are left out if the bench is wrong, devices also during a session, the plan also if the script
+        is wrong. Before bench and script are read there is only that they are, after session and entries.
         """
         prospect = self._prospect
         found = [_wait("a session is running: F3 shows it")] if self.station.busy else []

@@ -94,7 +94,10 @@ def matches(pattern: str, text: str) -> bool:
 
 
 def folder_trouble(folder: Path) -> str:
-    """Return why recordings cannot be written to a folder, "" if they can."""
+    """Return why recordings cannot be written to a folder, "" if they can.
+
+    For one that does not exist yet, the nearest folder above is looked at: a file, no permission, less than 10 MB free.
+    """
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free_mb = shutil.disk_usage(there).free / 1e6
     for wrong, words in (

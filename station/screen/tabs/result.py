@@ -87,7 +87,7 @@ class ResultScreen(StationScreen):
                 yield Button(words, id=name, compact=True, disabled=True, action=f"screen.{name}")
 
     def _open(self, path: Path, fresh: bool) -> None:
-        """Show a recording; a ``fresh`` one that failed is investigated at once."""
+        """Forget what is shown, and read and show the recording; one that failed and is ``fresh`` is investigated."""
         self.recording = path
         self.gyro = 0
         self._whole = None
@@ -100,7 +100,7 @@ class ResultScreen(StationScreen):
         self.station.work(partial(self._read, path, fresh), "open")
 
     async def _read(self, path: Path, fresh: bool) -> None:
-        """Read a recording and others of the same device.
+        """Read and show a recording, then others of the same device around it, and what moved since them.
 
         For a ``fresh`` one that has a calibration and the outcome FAIL, start an investigation.
         """
@@ -120,8 +120,9 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def action_investigate(self) -> None:
-        """Look for errors that the model misses, after asking which runs should verify them if there are others of the
-        device.
+        """Look for errors that the model misses; notify why if that is not possible.
+
+        If there are other runs of the device, ask first which should verify them; at most 20 are offered one by one.
         """
         if not self._may("investigate"):
             return
@@ -150,8 +151,9 @@ class ResultScreen(StationScreen):
             )
 
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
-        """Run `station investigate` on a recording, verified by ``judging``, and show its result if it is still on the
-        screen.
+        """Run `station investigate` on a recording, verified by ``judging``, and show its result or why there is none.
+
+        It is stored beside the recording, as is the next script. Nothing is shown if another recording is open by then.
         """
         kept = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
         script = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}-next.toml"))
@@ -170,7 +172,10 @@ class ResultScreen(StationScreen):
         self.redraw()
 
     def action_accept(self) -> None:
-        """Ask whether to accept the calibration; if so, record who did and write the certificate."""
+        """Ask whether to accept the calibration; if so, record who did and write the certificate.
+
+        Notify why instead if it cannot be accepted.
+        """
         if not self._may("accept") or self._whole is None:
             return
         operator = self.station.choices.operator
@@ -233,8 +238,9 @@ class ResultScreen(StationScreen):
     def _obstacle(self, action: str) -> str:
         """Return why ``action`` is not possible, "" if it is.
 
-        No action is without a recording that can be read, or while another one works; most are not while a session
-        runs.
+        No action is without a recording that can be read, or while another one works. Accept needs a PASS or ESTIMATED
+        that is not accepted, and an operator; investigate and facts need a calibration. The others need that no session
+        runs, and next a script of the investigation.
         """
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong:
@@ -281,13 +287,13 @@ class ResultScreen(StationScreen):
         charts.draw()
 
     def _verdict(self, recording: ReadRecording | None) -> Text:
-        """Return the verdict, and what moved since the last comparable run."""
+        """Return the verdict, and what moved since the last comparable run, if anything."""
         view = VerdictView(path=self.recording, whole=recording, busy=self._busy, message=self._said)
         moved = Text.from_markup(moved_since(self._moves), emoji=False)
         return joined(filter(None, (verdict_text(view), moved)))
 
     def _blocks(self, recording: ReadRecording) -> Mapping[str, RenderableType]:
-        """Return the other blocks that a recording has, by their names."""
+        """Return the other blocks that a recording has, by their names; without a calibration the record alone."""
         if not recording.entry.gyros:
             return {"record": record_text(recording)}
         model = self._model or [Text("I looks for errors beyond the four states", "dim")]
@@ -321,7 +327,7 @@ class ResultScreen(StationScreen):
         """Return the chart of the state ``name`` of the chosen gyro, with the calibration's figure; None without
         curves.
 
-        The figure is that of the live filter if the gyro was not calibrated.
+        The curve is that of the live filter; so is the figure if the gyro was not calibrated.
         """
         whole = self._whole
         if whole is None or not whole.curves:

@@ -54,7 +54,10 @@ class RunScreen(ManualScreen):
     on_screen_resume = redraw
 
     def tick(self) -> None:
-        """Update all figures, and one chart per call; unchanged parts cost nothing."""
+        """Update all figures, and of each group of charts one at most; unchanged parts cost nothing.
+
+        Before a run has figures those of the run before are cleared.
+        """
         run = self.station.shown
         width = self.size.width - 4
         progress = ProgressView(run=run, others=self.station.others, width=width, manual=self.manual_view())
@@ -98,7 +101,7 @@ class RunScreen(ManualScreen):
 
 
 def _measured(run: LiveRun, snapshot: Snapshot, large: bool) -> MeasuredView:
-    """Return the figures of a run; after it, the last known ones."""
+    """Return ``snapshot`` as the figures of a run; ``old`` after it, or while the session is lost or silent."""
     return MeasuredView(
         snapshot=snapshot,
         figures=run.limits.figures,

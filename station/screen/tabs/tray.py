@@ -87,7 +87,10 @@ class TrayScreen(StationScreen):
                 self.station.tray.end(Path(spot.recording), entry.texts.get("outcome") or NO_RESULT)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Add a scanned device to the tray, once for each script; report items that are there already."""
+        """Add a scanned device to the tray, once for each script; report items that are there or cannot be stored.
+
+        Enter in the field for scripts only moves the focus to the scan.
+        """
         scan, tray = self.query_one("#scan", Input), self.station.tray
         self.set_focus(scan)
         for script in self.query_one("#scripts", Input).value.split(",") if event.input is scan and event.value else ():
@@ -117,7 +120,7 @@ class TrayScreen(StationScreen):
         self.station.tray.keep([spot for spot in self.station.tray.spots if spot.state in left])
 
     def action_move(self, step: int) -> None:
-        """Swap the highlighted item with the one before or after it."""
+        """Swap the highlighted item with the one before (``step`` -1) or after it (1); nothing if there is none."""
         spots, row = list(self.station.tray.spots), self.query_one(OptionList).highlighted
         if row is not None and 0 <= row + step < len(spots):
             spots[row], spots[row + step] = spots[row + step], spots[row]
@@ -131,7 +134,7 @@ class TrayScreen(StationScreen):
             self.station.tray.change(spot, state=SKIPPED if spot.state == WAITING else WAITING, recording="")
 
     def tick(self) -> None:
-        """Show the tray anew if it has changed; the highlighted row stays."""
+        """Show list and next item anew if the tray has changed; the highlighted row stays, at first it is the top one."""
         tray = self.station.tray
         if self.query("#spots") and tray.spots != self._shown:
             view = TrayView(spots=tray.spots, next=tray.next)
