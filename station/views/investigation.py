@@ -238,7 +238,8 @@ def investigation_view(
 ) -> InvestigationView:
     """Return the view of an investigation of ``recordings``, judged by those in ``verification``.
 
-    ``next_script`` is the file of the script to run next, None without one.
+    Both are names of files. ``next_script`` is the file of the script to run next, None without one. The residual is
+    None unless it was analysed before and after; numbers that are not finite are None.
     """
     models = [
         {"effects": m.effects, "log_evidence": m.log_evidence, **json_object(m.errors)} for m in investigation.models
@@ -279,7 +280,8 @@ def investigation_object(view: InvestigationView) -> dict[str, Any]:
 def what_shows(investigation: Investigation) -> list[str]:
     """Return, for each candidate that the data could not separate, "effect: what a recording must hold to show it".
 
-    Empty if nothing was found or the effects were added.
+    Without rivals the candidates are the first three suspects. Those of which the catalogue does not say it are left
+    out. Empty if nothing was found or the effects were added.
     """
     if investigation.finding in (Finding.NOTHING, Finding.ADDED):
         return []
@@ -324,7 +326,10 @@ class Spectra:
 
 
 def spectra_of(before: Residual | None, after: Residual | None) -> dict[str, Spectra]:
-    """Return the spectra by gyro; empty if a residual was not analysed."""
+    """Return by gyro the spectra of its residual under the models before and after; empty if either was not analysed.
+
+    The noise is that of the model before.
+    """
     if before is None or after is None:
         return {}
     pairs = zip(before.gyros, after.gyros, strict=True)

@@ -69,8 +69,8 @@ class LimitLine:
     def cells(self) -> tuple[str, str, str, str]:
         """Subject, value, bound and the excess as a factor or percentage, as texts in the units of the states' table.
 
-        If there is no estimate, the value is the reason, and bound and excess are empty. Excess is also if the bound is
-        0. The bound is the one that is broken, or the upper one.
+        If there is no estimate, the value is the reason or "not known", and bound and excess are empty; the excess also
+        if the bound is 0. The bound is the lower one for a mean NIS below it, else the upper one.
         """
         if self.note or not math.isfinite(self.value):
             return f"{self.gyro} {self.what}", self.note or "not known", "", ""

@@ -91,8 +91,9 @@ def warnings_of(noises: Sequence[SensorNoise]) -> list[str]:
 
 
 def filter_notes(noises: Sequence[SensorNoise]) -> list[str]:
-    """Return a sentence, with the sensors, for each averaging time from which N, B and K hold, if it is not the shortest
-    of the curve.
+    """Return a sentence for each averaging time from which N, B and K hold, with its sensors.
+
+    None for sensors of which they hold from the shortest one on.
     """
     found = []
     for shortest_s in dict.fromkeys(noise.terms.shortest_s for noise in noises if noise.terms.trimmed):

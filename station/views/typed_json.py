@@ -28,7 +28,7 @@ def view_of(kind: type[View], values: Mapping[str, Any]) -> View:
 
 
 def _read(kind: Any, value: Any) -> Any:
-    """Return a value of JSON as the annotated type ``kind``; TypeError or ValueError if it cannot be one."""
+    """Return a value of JSON as the annotated type ``kind``; KeyError, TypeError or ValueError if it cannot be one."""
     origin = get_origin(kind)
     if kind is Any:
         return value
@@ -74,7 +74,7 @@ def _read_mapping(part: Any, value: Any) -> dict[str, Any]:
 def _read_dataclass(kind: type, value: Any) -> Any:
     """Return an object of JSON as the dataclass ``kind``; a missing key takes the default of its field.
 
-    TypeError if it is no object, KeyError if a key without a default is missing.
+    Unknown keys are ignored. TypeError if it is no object, KeyError if a key without a default is missing.
     """
     if not isinstance(value, Mapping):
         raise TypeError(f"{value!r} is not an object")
@@ -104,7 +104,7 @@ def _read_plain(kind: type, value: Any) -> Any:
 
 @cache
 def _fields_of(kind: type) -> dict[str, tuple[Any, bool]]:
-    """Return by field of a dataclass its type, and whether it has a default."""
+    """Return by name of the fields of a dataclass the type, and whether there is a default."""
     hints = get_type_hints(kind)
     return {
         field.name: (hints[field.name], field.default is not MISSING or field.default_factory is not MISSING)

@@ -134,7 +134,7 @@ class TrayScreen(StationScreen):
             self.station.tray.change(spot, state=SKIPPED if spot.state == WAITING else WAITING, recording="")
 
     def tick(self) -> None:
-        """Show list and next item anew if the tray has changed; the highlighted row stays, at first it is the top one."""
+        """Show list and next item anew if the tray has changed; the highlighted row stays, at first it is the top."""
         tray = self.station.tray
         if self.query("#spots") and tray.spots != self._shown:
             view = TrayView(spots=tray.spots, next=tray.next)

@@ -7,7 +7,11 @@ from station.views.json_values import json_object
 
 
 def finding_object(finding: ForceFinding) -> dict[str, Any]:
-    """Return what the accelerometers of one source lack, in SI: effects, suspects, dropped effects, errors."""
+    """Return for JSON what the model of the accelerometers of one source lacks, in SI: effects, suspects, errors.
+
+    With them are the effects that were dropped, recordings that were left out with the reasons, and whether there were
+    verification runs. Errors are rms of each accelerometer before and after, null if not finite.
+    """
     found: dict[str, Any] = json_object(
         {
             "source": finding.source,
@@ -25,8 +29,9 @@ def finding_object(finding: ForceFinding) -> dict[str, Any]:
 
 
 def _effect_object(effect: FoundEffect, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return an effect with its probability, its rivals, and its parameters with sigmas by accelerometer
-    (``names``).
+    """Return an effect with its probability, its unit in SI, its parameters by accelerometer, and its rivals.
+
+    ``names`` are the accelerometers in the order of the effect's rows; each parameter has a value and a sigma.
     """
     return {
         "effect": effect.effect.name,

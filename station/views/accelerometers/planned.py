@@ -32,7 +32,7 @@ class PlannedForcesView:
 
 
 def planned_forces_view(planned: PlannedForces) -> PlannedForcesView:
-    """Return the view of what a script shows of the accelerometers of a device."""
+    """Return the view of what a script shows of the accelerometers of a device, in SI; infinite numbers are None."""
     return PlannedForcesView(
         device=planned.device,
         accelerometers=tuple(map(planned_accelerometer, planned.calibration.accelerometers)),
@@ -42,7 +42,7 @@ def planned_forces_view(planned: PlannedForces) -> PlannedForcesView:
 
 
 def planned_accelerometer(accelerometer: AccelerometerCalibration) -> PlannedAccelerometer:
-    """Return the view of the predicted standard deviations of an accelerometer."""
+    """Return the view of the predicted standard deviations of an accelerometer, in SI; infinite ones are None."""
     return PlannedAccelerometer(
         name=accelerometer.name,
         sd=dict(zip(ACCELEROMETER.keys, json_object(accelerometer.sd), strict=True)),

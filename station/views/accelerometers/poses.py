@@ -34,9 +34,9 @@ class ParameterRow:
 
 
 def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
-    """Return the nine parameters in everyday units: biases in m/s2, and in mg below, angles in deg.
+    """Return the nine parameters in everyday units: scales as factors, biases in m/s2 and again in mg, angles in deg.
 
-    Scales and biases of raw counts are in counts.
+    Of raw counts scales are in counts/(m/s2) and biases in counts only. Parameters that are not shown have no numbers.
     """
     counts = result.unit == "counts"
     rows = []
@@ -54,7 +54,10 @@ def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
 
 
 def gyro_rows(result: GyroTurnCalibration) -> list[ParameterRow]:
-    """Return the twelve parameters of gyros in everyday units: scales as factors, biases in deg/s, tilts in deg."""
+    """Return the twelve parameters of gyros in everyday units: scales as factors, biases in deg/s, tilts in deg.
+
+    Parameters that are not shown have no numbers.
+    """
     rows = []
     for own in result.parameters:
         kind = own.name.split()[1]
@@ -76,7 +79,10 @@ def triad_rows(triad: Triad) -> list[ParameterRow]:
 
 
 def board_rows(board: Board) -> list[list[str]]:
-    """Return for each IMU its name, arm, distance and U of it in mm, and the turn against the first in deg."""
+    """Return texts for each IMU: its name, arm x, y and z, distance and U of it in mm, and its turn against the first.
+
+    The turn is a rotation vector in deg, its three parts in one text.
+    """
     rows = []
     for imu in board.imus:
         arm = " ".join(f"{1e3 * part:.2f}" for part in imu.arm_m)
@@ -94,7 +100,7 @@ def rotation_vector(matrix: Any) -> list[float]:
 
 
 def board_words(board: Board) -> str:
-    """Return what the arms rest on."""
+    """Return a sentence on the samples that the arms were computed from, and the rms error that remains."""
     return (
         f"{board.used} samples of fast turns, {board.saturated} saturated ones left out; arms and motion leave "
         f"{board.misfit_mps2:.2f} m/s2 (rms)"
@@ -102,7 +108,7 @@ def board_words(board: Board) -> str:
 
 
 def turns_words(result: GyroTurnCalibration) -> str:
-    """Return how far turns carry gravity astray, before and after."""
+    """Return a sentence on how far turns carry gravity astray, rms in deg, before and after the calibration."""
     before, after = math.degrees(result.before_rad), math.degrees(result.after_rad)
     return (
         f"gravity carried by the gyros over {result.turns} turns, rms error: {before:.3f} deg before, "
@@ -116,7 +122,10 @@ def turn_words(turn: RefusedTurn) -> str:
 
 
 def _row(parameter: Parameter, unit: str, factor: float) -> ParameterRow:
-    """Return a parameter in a unit, with digits down to the second that counts of its half width."""
+    """Return a parameter in a unit, with digits down to the second that counts of its half width.
+
+    ``factor`` is that from SI to the unit. A parameter without value or half width has ``NOT_SHOWN`` and "".
+    """
     if parameter.value is None or parameter.u95 is None:
         return ParameterRow(name=parameter.name, value=NOT_SHOWN, u95="", unit=unit)
     digits = _digits(parameter.u95 * factor)
@@ -136,7 +145,7 @@ def _digits(size: float) -> int:
 
 
 def norm_words(result: PoseCalibration) -> str:
-    """Return the scatter of the length of gravity over the rests, before and after."""
+    """Return a sentence on the scatter of the length of gravity over the rests used, before and after calibration."""
     before, after = result.before_mps2, result.after_mps2
     return (
         f"length of gravity over {len(result.used)} rests, standard deviation: {before:.4f} m/s2 "
@@ -160,8 +169,9 @@ def rest_words(rest: PoseRest) -> str:
 def session_object(session: PoseSession, path: str) -> dict[str, Any]:
     """Return a session for --json, in SI; numbers of parameters that are not shown are null.
 
-    ``matrix`` is A in output = A f + bias, for a body whose x is the sense axis x, and y in the plane of x and y.
-    That of the gyro is G in output = G w + bias for the same body.
+    ``path`` is the file of the calibration. ``matrix`` is A in output = A f + bias, for a body whose x is the sense
+    axis x, and y in the plane of x and y. That of the gyro is G in output = G w + bias for the same body. ``gyro`` and
+    ``board`` are null if there is none.
     """
     gyro = session.gyro
     notes = [*session.notes, *session.accelerometer.notes, *(gyro.notes if gyro else ())]
@@ -179,7 +189,10 @@ def session_object(session: PoseSession, path: str) -> dict[str, Any]:
 
 
 def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
-    """Return a calibrated triad for JSON; covariance and matrix are None if the rests did not show all parameters."""
+    """Return a calibrated triad for JSON, its rests included.
+
+    Covariance and matrix are None if the rests did not show all parameters.
+    """
     complete = bool(result.shown.all())
     return {
         "unit": result.unit,
@@ -198,7 +211,10 @@ def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
 
 
 def _gyro_object(result: GyroTurnCalibration) -> dict[str, Any]:
-    """Return calibrated gyros; covariance and matrix are None if the turns did not show all parameters."""
+    """Return calibrated gyros for JSON, with the turns that were refused.
+
+    Covariance and matrix are None if the turns did not show all parameters.
+    """
     complete = bool(result.shown.all())
     return {
         "parameters": [_parameter_object(own) for own in result.parameters],
@@ -249,7 +265,11 @@ def _parameter_object(parameter: Parameter) -> dict[str, Any]:
 
 
 def _rest_object(rest: PoseRest) -> dict[str, Any]:
-    """Return a rest: its time in the file, mean output, deviation from gravity, and why it was refused, if it was."""
+    """Return a rest: its time in the file, mean output, and length of the force before and after the calibration.
+
+    ``refused`` is why it was not used, "" if it was. The time is None if only means were given, ``sd_mps2`` if the rest
+    was not used.
+    """
     return {
         "number": rest.number,
         "file": rest.file,

@@ -72,7 +72,7 @@ def names_by_reason(excluded: Sequence[Excluded]) -> dict[str, list[str]]:
 
 
 def excluded_lines(excluded: Sequence[Excluded]) -> list[tuple[str, str]]:
-    """Return which accelerometers are not calibrated, as words, and why: each reason once."""
+    """Return (which accelerometers are not calibrated, why) as words, a pair for each reason."""
     verbs = {True: "are", False: "is"}
     return [
         (f"{', '.join(names)} {verbs[len(names) > 1]} not calibrated", reason)
@@ -117,8 +117,8 @@ def force_object(calibration: ForceCalibration) -> dict[str, Any]:
 
 
 def _effect_object(effect: ForceEffectValues, calibration: ForceCalibration) -> dict[str, Any]:
-    """Return an effect of the model: its unit, what a unit of each parameter adds to the output, and about which
-    temperature or instant; by accelerometer each parameter with its sigma.
+    """Return an effect of the model: its unit, what a unit of each parameter adds to the output ("adds"), and "about"
+    which temperature or instant it is zero; under the name of each accelerometer its parameters with sigmas, in SI.
     """
     adds = dict(zip(effect.parameters, BY_NAME[effect.name].adds, strict=True))
     found: dict[str, Any] = {"unit": effect.unit, "adds": adds, "about": effect.about}
@@ -139,7 +139,8 @@ def effect_rows(calibration: ForceCalibration) -> list[EffectRow]:
 def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats, about: str = "") -> list[EffectRow]:
     """Return a row for each parameter of an effect, of values (a, p) and standard deviations (a, p) in SI.
 
-    ``about`` says at which temperature or instant the effect is zero.
+    a is the number of accelerometers, p that of parameters. ``about`` says at which temperature or instant the effect
+    is zero, and is added to the names unless empty. A row has the digits that its standard deviations deserve.
     """
     name = effect.name.replace("_", " ") + (f" ({about})" if about else "")
     rows = []
@@ -157,7 +158,10 @@ def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats, about: str 
 
 
 def _accelerometer_object(accelerometer: AccelerometerCalibration) -> dict[str, Any]:
-    """Return one accelerometer: states, sigmas, place, budget, noise; null for a place or noise that is unknown."""
+    """Return one accelerometer, in SI: states, sigmas, noise, place, budget; None for a place or noise that is unknown.
+
+    States are under their keys, sigmas and each line of the budget as objects by these keys.
+    """
     noise = accelerometer.noise and {
         "vrw_mps2_rthz": accelerometer.noise.mean.arw,
         "instability_mps2": accelerometer.noise.mean.instability,

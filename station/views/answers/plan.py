@@ -184,7 +184,7 @@ class PlanView:
 
     @property
     def accelerometer_sds(self) -> list[tuple[str, States]]:
-        """Name and standard deviations of each accelerometer; of several devices, the name begins with the device."""
+        """Name and standard deviations of each accelerometer; with several devices, the name begins with the device."""
         several = len(self.accelerometers) > 1
         return [
             (f"{device.device} {one.name}" if several else one.name, one.sd)
@@ -211,7 +211,8 @@ def plan_view(
     """Return the view of a plan.
 
     ``early_late`` is the plan of the script that turns each axis early and late, ``forces`` are the forecasts for
-    accelerometers, ``mountings`` those for three mountings joined; all are left empty without.
+    accelerometers by device, ``mountings`` those for three mountings joined; their parts of the view are None or empty
+    without. Infinite numbers become None.
     """
     forecast = plan.forecast
     least_s, most_s = plan.script.span.least_s, plan.script.span.most_s
@@ -236,6 +237,7 @@ def plan_view(
 
 
 def _mountings_view(planned: PlannedMountings) -> PlannedMountingsView:
+    """Return the view of a device's three mountings joined; without accelerometers there are only gyros."""
     return PlannedMountingsView(
         device=planned.device,
         gyros=tuple(
@@ -249,7 +251,7 @@ def _mountings_view(planned: PlannedMountings) -> PlannedMountingsView:
 
 
 def early_late_view(plan: Plan) -> EarlyLateView:
-    """Return the view of a script that turns each axis early and late."""
+    """Return the view of the plan of a script that turns each axis early and late; its duration is the shortest."""
     return EarlyLateView(
         script=plan.script.name,
         duration_s=plan.script.least_s,
@@ -266,7 +268,10 @@ def planned_gyros(plan: Plan) -> tuple[PlannedGyro, ...]:
 
 
 def _judged_gyros(plan: Plan) -> tuple[JudgedGyro, ...]:
-    """Return for each gyro the predicted sigmas, the part of the table, and whether all required ones are reached."""
+    """Return for each gyro the predicted sigmas, the part of the table, and whether all required ones are reached.
+
+    With them are the directions of the states that the script does not show.
+    """
     rows = zip(plan.forecast.gyros, plan.sd, plan.table_sd, plan.reached, strict=True)
     return tuple(
         JudgedGyro(
@@ -286,6 +291,7 @@ def _steps(plan: Plan) -> tuple[PlannedStep, ...]:
 
 
 def _step(timed: Timed) -> PlannedStep:
+    """Return the view of a step with its shortest and longest duration, and axis and rate of its last turn, if any."""
     turn = timed.last_turn
     return PlannedStep(
         label=timed.step.label,
@@ -301,6 +307,7 @@ def _finite(value: float) -> float | None:
 
 
 def _axis(axis: AxisCoverage) -> PlannedAxis:
+    """Return the view of whether turns about an axis, early and late, would show a drift."""
     return PlannedAxis(
         axis=axis.axis,
         proved=axis.proved,
@@ -332,7 +339,8 @@ def _effect(effect: EffectForecast, forecast: Forecast) -> PlannedEffect:
 def _parameter(effect: EffectForecast, row: int, forecast: Forecast) -> PlannedParameter:
     """Return the forecast of parameter number ``row`` of an effect: its smallest visible size by gyro, and shifts.
 
-    An effect that is the same for all gyros has one size, under the name "all".
+    An effect that is the same for all gyros has one size, under the name "all". Shifts are those of each gyro at the
+    largest plausible size, in SI and in sigmas. Sizes and shifts that are not finite are None.
     """
     parameter = effect.effect.parameters[row]
     gyros = [gyro.name for gyro in forecast.gyros]
