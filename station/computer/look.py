@@ -10,8 +10,8 @@ from station.computer.timekeeping import look_at_load, look_at_power_saving, loo
 
 
 def look_at_computer(links: Iterable[str]) -> list[Finding]:
-    """Return problems and advice for runs over these links: ports, CAN interfaces, power saving, load; nothing for
-    twins.
+    """Return problems and advice for runs over these links: ports, their USB adapters, CAN interfaces, power saving,
+    load; nothing for twins.
 
     ``links`` are as in a bench file: serial:///dev/ttyUSB0?baud=921600, can:socketcan:can0, can:slcan:/dev/ttyACM0. Of
     other links, such as TCP, only the computer is looked at.

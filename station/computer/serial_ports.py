@@ -16,8 +16,9 @@ _MOST_LATENCY_MS = 1
 def look_at_serial_port(port: str, root: Path = Path("/")) -> Iterator[Finding]:
     """Yield problems of a serial port, such as /dev/ttyUSB0, and advice; nothing if it is fine.
 
-    Looked at are its presence, its permissions, programs that have it open, names that may change, and slow adapters. A
-    missing port, or a path that is none, ends the list. ``root`` is the root of the file system to look at.
+    Looked at are its presence, its permissions, programs that have it open unless it is a pseudo-terminal, names that
+    may change, and slow adapters. A missing port, or a path that is none, ends the list. ``root`` is the root of the
+    file system to look at.
     """
     path = root / port.lstrip("/")
     if not path.exists():

@@ -85,8 +85,9 @@ def _ask_axis(
 ) -> Data:
     """Return the axis ``name``, given the ``table`` so far; ``axis`` is the proposal.
 
-    Asked are its link and address where the protocol has them, counts if it needs them, limits and travel. ``checked``
-    raises UsageError for an invalid table; the question is then repeated.
+    Asked are a link of its own where the protocol has one and the table's is TCP, the address where the protocol has
+    one, counts if they are proposed, limits and travel. ``checked`` gets the whole table and raises UsageError if it is
+    invalid; the question is then repeated.
     """
 
     def ask(key: Key, question: str = "") -> Data:

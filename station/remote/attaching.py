@@ -131,7 +131,7 @@ class RemoteSession:
     async def connect(cls, path: Path) -> Self:
         """Connect to a session's socket and read its greeting.
 
-        UsageError if nothing answers, or the session is another user's or of another version.
+        UsageError if nothing answers within five seconds, or the session is another user's or of another version.
         """
         loop = asyncio.get_running_loop()
         try:

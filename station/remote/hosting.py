@@ -82,7 +82,8 @@ class Host:
     async def begin(self, run: Session, hello: Mapping[str, Any]) -> None:
         """Admit clients, who may watch and control ``run`` from now on; needs the socket of ``__aenter__``.
 
-        ``hello`` is their first message, along with version and pid.
+        The socket gets its visible name, and snapshots are sent ten times a second. ``hello`` is the first message to a
+        client, along with version and pid.
         """
         assert self._server is not None
         self._run = run
@@ -98,7 +99,10 @@ class Host:
             client.send_events()
 
     async def end(self, result: Mapping[str, Any]) -> None:
-        """Send the result to all clients and hang up; those that do not take it within a second miss it."""
+        """Send the last events, a snapshot and the result to all clients and hang up.
+
+        Clients that do not take the result within a second miss it.
+        """
         self._snapshots()
         last = _line("result", json_object(result))
         for client in tuple(self.clients):
@@ -207,9 +211,9 @@ class Host:
             return None
 
     def _keep(self, snapshot: Snapshot) -> None:
-        """Store the estimates of a snapshot, if it has any, for clients that come later.
+        """Store the estimates of a snapshot, rounded to six digits, for clients that come later.
 
-        Beyond ``_MOST_POINTS`` every other point is dropped.
+        Nothing without estimates, or before time goes on. Beyond ``_MOST_POINTS`` every other point is dropped.
         """
         sensors = {one.full_name: (_rounded(one.values), _rounded(one.sds)) for one in snapshot.sensors}
         if sensors and snapshot.elapsed_s > 0:

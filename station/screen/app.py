@@ -411,7 +411,7 @@ class StationApp(App[None]):
                     screen.tick()
 
     def show_stop(self) -> None:
-        """Show the run's state in bars and small view; without one, or one over and not in view, the screen's line."""
+        """Show the run in bars and small view; without one, or if settled and not of this screen, the screen's line."""
         with suppress(ScreenStackError):
             below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
             run, line = self.shown, ""

@@ -130,7 +130,10 @@ def hidden_effects(forecast: Forecast, figures: tuple[StateUnit, ...]) -> list[H
 def _state_shifts(
     shift: Floats, sigmas: Floats, gyros: list[str], figures: tuple[StateUnit, ...]
 ) -> Iterator[StateShifts]:
-    """Yield the marked shifts by state, of shifts (gyros, 4) in SI and in sigmas; states without one are left out."""
+    """Yield by state the shifts of at least ``MARKED`` sigmas, in the units of ``figures``; none for other states.
+
+    ``shift`` (gyros, 4) is in SI, ``sigmas`` (gyros, 4) in sigmas without a sign; ``gyros`` are their names.
+    """
     for state, figure in enumerate(figures):
         shifts = [
             Shift(gyro=gyro, size=float(shift[row, state] * figure.factor), sigmas=float(sigmas[row, state]))

@@ -155,7 +155,7 @@ def series_of(texts: Mapping[str, str], gyros: Sequence[tuple[str, str]]) -> tup
 
 
 def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
-    """Return the newest earlier run of the same series that did not fail, None if there is none."""
+    """Return the newest earlier run of the same series that did not fail; None if there is none, or no series."""
     earlier = [
         other
         for runs in comparable(entries)

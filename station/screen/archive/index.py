@@ -33,8 +33,9 @@ def index_file(folder: Path) -> Path:
 
 
 def load(folder: Path) -> dict[File, Entry]:
-    """Return the entries in the index of a folder; nothing if there is none or it is damaged. Damaged rows are
-    skipped.
+    """Return the entries in the index of a folder, also those whose file has changed or gone since.
+
+    Nothing if there is no index or it is damaged, and a new one is begun. Damaged rows are skipped.
     """
     found, top = {}, os.path.join(folder, "")
     texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other

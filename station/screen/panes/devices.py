@@ -47,7 +47,7 @@ def _answer_lines(view: DevicesView) -> list[Text]:
 
 
 def _device_lines(device: DeviceCheck) -> list[Text]:
-    """Return who the device is, its axes or sources, and what is wrong with it."""
+    """Return the lines of a device: OK or WRONG with who it is, its axes or sources, and each thing that is wrong."""
     mark = Mark.WRONG if device.wrong else Mark.OK
     lines = [marked(mark, (device.device, "bold"), f"  {'  '.join(_identity(device))}")]
     lines += [line((f"{_INDENT}{_axis(axis)}", _DIM)) for axis in device.axes]

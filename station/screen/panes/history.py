@@ -42,7 +42,10 @@ class TrendView:
 
 
 def trend_text(view: TrendView) -> Text:
-    """Return whose trend is shown, or why there is none; empty if no recording is chosen."""
+    """Return whose trend is shown, over how many calibrations and how many of them FAIL; empty without a recording.
+
+    If the chosen recording cannot be read, or has no calibration, it says that instead.
+    """
     chosen = view.chosen
     if chosen is None:
         return Text()

@@ -77,7 +77,8 @@ def _judgement_of_forces(arm: ArmSnapshot) -> tuple[str, str]:
 def _axis_lines(view: MeasuredView) -> list[Text]:
     """Return a line for each axis below the headings, in order of the names: angle, rate and setpoint in deg, state.
 
-    Once nothing moves, rates and setpoints are 0, and an axis that turned last is at rest.
+    Once nothing moves, rates and setpoints are 0, and an axis that turned last is at rest. The heading says if the
+    figures are old.
     """
     axes = sorted(view.snapshot.axes, key=lambda axis: axis.name)
     heads = ["axis", "     angle deg", "    rate deg/s", "setpoint deg/s"]

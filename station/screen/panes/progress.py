@@ -106,7 +106,10 @@ def _driven_by_hand(snapshot: Snapshot) -> Text:
 
 
 def _under_way(run: LiveRun, snapshot: Snapshot, width: int) -> list[Text]:
-    """Return two lines: what the run does, what is left and its newest event; its bar, fitted to ``width`` columns."""
+    """Return two lines: what the run does, the time left, its script and newest event; its bar of ``width`` columns.
+
+    The first one also says that it is paused, or will be after the step.
+    """
     left = clock_between(snapshot.remaining_s, snapshot.longer_s)
     total = clock_between(snapshot.elapsed_s + snapshot.remaining_s, snapshot.longer_s)
     parts: list[Part] = [(snapshot.doing, _BOLD), f"   {left} left of {total}"]
@@ -122,7 +125,7 @@ def _under_way(run: LiveRun, snapshot: Snapshot, width: int) -> list[Text]:
 
 
 def _manual_lines(view: ManualView) -> list[Text]:
-    """Return the axes with their angles, the limits of the chosen one, and the keys."""
+    """Return three lines: the axes with their angles in deg, rate and limits of the chosen axis, and the keys."""
     names: list[Part] = [(" MANUAL ", "bold reverse"), "  "]
     for axis in view.axes:
         style = "bold reverse" if axis.name == view.chosen else ""

@@ -19,7 +19,7 @@ class TrayView:
 
 
 def tray_head(view: TrayView) -> Text:
-    """Return the line above the list: what is to be mounted next, or what can be done."""
+    """Return the line above the list: what is to be mounted next, that nothing waits, or that the tray is empty."""
     if view.next is not None:
         place = f"{view.spots.index(view.next) + 1} of {len(view.spots)}"
         return line("Next: ", (view.next.serial, "bold"), f", {place}. Press F7 to mount it")

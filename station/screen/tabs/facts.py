@@ -47,8 +47,9 @@ class FactsDialog(ChooseDialog):
 async def fill_in(app: Any, recording: ReadRecording) -> None:
     """Let the operator edit facts, named as "customer.name" or "equipment.0.due", until they are stored or given up.
 
-    They are stored beside the recording and as the form of the bench. Nothing is stored while one is wrong: that field
-    is asked for next. Facts that cannot be read or stored are reported.
+    They are stored beside the recording and, if that is possible, as the form of the bench. Nothing is stored while one
+    is wrong: that field is asked for next. Facts that cannot be read or stored are reported. Leaving with changes has
+    to be confirmed.
     """
     try:
         recorded, files, sources = await asyncio.to_thread(_stated, recording)
@@ -125,7 +126,7 @@ def _stated(recording: ReadRecording) -> tuple["Recorded", tuple[Path, Path], Ma
 
     The files are that of this recording and that of the last form of this bench. The latter is looked at only if the
     former does not exist, for facts that last from job to job, and is ignored if it cannot be read. Origins that take
-    precedence come first. UsageError or TOMLDecodeError if the former or the recorded bench file cannot be read.
+    precedence come first. UsageError, or an error of ``_texts``, if the former or the recorded bench file is wrong.
     """
     from estimator.recordings.recording import Recording
     from station.report.formal import kept_facts
@@ -159,7 +160,8 @@ def _stated(recording: ReadRecording) -> tuple["Recorded", tuple[Path, Path], Ma
 def _texts(toml: str) -> dict[str, str]:
     """Return the facts in a TOML text as they are entered, by names such as "equipment.0.due".
 
-    Items of a list are joined by " | ". Tables other than ``SECTIONS`` are left out. TOMLDecodeError if it is no TOML.
+    Items of a list are joined by " | ". Tables other than ``SECTIONS`` are left out. TOMLDecodeError if it is no TOML,
+    AttributeError if a section is no table.
     """
     found = {}
     for name, facts in tomllib.loads(toml).items():

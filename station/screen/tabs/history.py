@@ -191,7 +191,10 @@ class HistoryScreen(StationScreen):
 
 
 def _cells(entry: Entry) -> list[Text]:
-    """Return the cells of an entry; an unreadable one has its reason in place of the outcome."""
+    """Return the cells of an entry, one for each of ``_COLUMNS``.
+
+    An unreadable one has UNREADABLE as outcome and dashes, except for date and file.
+    """
     outcome = entry.texts.get("outcome", "")
     ended = Text(outcome or "-", OUTCOME_STYLES.get(outcome, ""))
     cells = [entry.device, *(entry.texts.get(key, "") for key in ("script", "operator", "accepted_by"))]

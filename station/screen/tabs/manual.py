@@ -31,8 +31,9 @@ def begin_manual(screen: StationScreen) -> None:
     station = screen.station
 
     async def begin() -> None:
-        """Start a manual run on the bench of the choices, or notify why not: it is invalid, or recalled and real
-        hardware.
+        """Start a manual run on the bench of the choices, or notify why not.
+
+        That is if bench or folder is wrong, or the bench is recalled and real hardware.
         """
         prospect = await asyncio.to_thread(look_ahead, station.choices)
         wrong = prospect.bench_wrong or prospect.folder_wrong
@@ -65,7 +66,10 @@ class ManualScreen(StationScreen):
 
     @property
     def axes(self) -> Sequence[DrivenAxis]:
-        """The axes of a session in manual mode, by name; none for another session."""
+        """The axes of a session in manual mode, in order of their names; none if there is none or it has ended.
+
+        Angles are NaN before the first snapshot.
+        """
         run = self.station.shown
         if run is None or not run.active or run.hello is None or not run.hello.manual:
             return ()
