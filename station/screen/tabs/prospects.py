@@ -22,7 +22,11 @@ ANYTHING = r".*\S.*"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
-    """A bench and a script, or ``manual``, or what is wrong with either; ``files`` are suggestions for names."""
+    """A bench and a script, or ``manual``, or what is wrong with either; ``files`` are suggestions for names.
+
+    The script takes ``least_s``, or up to ``longer_s`` more. ``shift_s`` is how long an operator counts as confirmed.
+    ``limits`` and ``motion`` are None while bench and script cannot be read.
+    """
 
     bench: str = ""
     bench_wrong: str = ""
