@@ -118,9 +118,9 @@ class Chart(PlotWidget, inherit_bindings=False):
     def show(self, drawing: Drawing, window: tuple[float, float] | None) -> None:
         """Show a drawing, for all of its time or for ``window``, first and last in the unit of its times.
 
-        The title has as many words as fit; with a window it says which key shows all.
-        A dial has no axes and no window, and its circles are round. Without a range the values in sight give it. Curves
-        without error bars are thinned to the dots there are.
+        The title has as many words as fit; with a window it says which key shows all. A dial has no axes and no window,
+        and its circles are round. Without a range the values in sight give it. Curves without error bars are thinned to
+        the dots there are.
         """
         time = window or (drawing.span[0], max(drawing.span[1], drawing.span[0] + 1.0))
         low, high = (-math.inf, math.inf) if drawing.dial else time

@@ -40,7 +40,7 @@ class EffectView:
 
 
 def effect_view(effect: Effect) -> EffectView:
-    """Return the view of an effect; of a law with constants to search for, names of parameters leave out their values."""
+    """Return the view of an effect; of a law with constants to search for, names of parameters leave them out."""
     record = effect.record
     searched = tuple(SettingView(name=s.name, unit=s.unit) for s in record.settings if s.name)
     names = [parameter.name for parameter in effect.parameters]
