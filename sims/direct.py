@@ -128,7 +128,10 @@ def _felt(
     gravity_mps2: float,
     seed: tuple[int, ...],
 ) -> Floats:
-    """Return the outputs (n, a) of accelerometers that sample with the gyros and have their temperature."""
+    """Return the outputs (n, a) in m/s2 of accelerometers that sample with the gyros and have their temperature.
+
+    ``t_s`` (n,) are evenly spaced, two or more; their errors are stated at the same temperature as those of the gyros.
+    """
     axes, errors = accelerometers
     felt = Accelerometers(
         mounting=axes,

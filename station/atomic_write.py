@@ -38,6 +38,10 @@ def check_picture(path: Path) -> None:
 
 
 def _check_folder(path: Path, option: str) -> None:
+    """Check that the folder of ``path`` exists and takes new files, by a trial file that is removed at once.
+
+    UsageError, which begins with ``option`` and ``path``, if not.
+    """
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{option} {path}: the folder {path.parent} does not exist")
     try:
@@ -47,9 +51,9 @@ def _check_folder(path: Path, option: str) -> None:
 
 
 def free_path(path: Path, *, further_suffixes: Sequence[str] = ()) -> Path:
-    """Return ``path``, or the same name with the lowest number that makes it free, so that nothing is overwritten.
+    """Return ``path`` if no such file exists, else "NAME-2", "NAME-3" and so on, with the lowest number that is free.
 
-    The name must be free with each of ``further_suffixes`` as well.
+    The name must be free with each of ``further_suffixes`` (".pdf") in place of its suffix as well. Nothing is created.
     """
     number, found = 1, path
     while any(found.with_suffix(suffix).exists() for suffix in (path.suffix, *further_suffixes)):
@@ -68,8 +72,9 @@ def write_whole(
 ) -> None:
     """Write bytes, or a text as UTF-8, through a temporary file that gets its name only when complete.
 
-    An existing file is overwritten only with ``replace``. ``verify(part)`` may reject the temporary file with
-    UsageError. UsageError, with the reason, if the file cannot be written; what was there is unchanged then.
+    An existing file is overwritten only with ``replace``; a folder or a device never is. Missing folders are created.
+    ``verify(part)`` may reject the temporary file with UsageError. UsageError, with the reason, if the file cannot be
+    written. An earlier file is unchanged, and the temporary one removed, after any error.
     """
     if path.exists() and (not replace or not path.is_file()):
         reason = "exists already and is not overwritten" if path.is_file() else "is not a file"

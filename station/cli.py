@@ -53,7 +53,10 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Check a choice; name the nearest one where it is mistyped."""
+        """Raise ArgumentError for a value that is not among the choices of ``action``.
+
+        For a mistyped command the message names the nearest one, or all commands where none is near.
+        """
         if isinstance(action, argparse._SubParsersAction) and value not in action.choices:
             near = difflib.get_close_matches(value, action.choices, n=1)
             suggestion = f": did you mean {near[0]!r}?" if near else f": the commands are {', '.join(action.choices)}"
@@ -75,8 +78,10 @@ class _Station(_Parser):
 def _take(parser: argparse._ActionsContainer, spelled: str, help: str, **more: Any) -> None:
     """Add one option or argument to a parser from its description in the TOML file.
 
-    A last word in capitals in ``spelled`` means that a value follows ("--output -o FILE"); otherwise it is a flag.
-    "bench BENCH" is a positional argument. ``more`` is passed to argparse, with the type by its name.
+    A last word in capitals in ``spelled`` names the value that follows ("--output -o FILE"). Without one the option is
+    a flag, unless ``more`` has choices, a default or a type. "bench BENCH" is a positional argument. ``more`` is
+    passed to argparse, with the type by its name in ``_TYPES``; the choices "formats" stand for those of --format, and
+    an option that may be repeated is an empty list by default.
     """
     names = spelled.split()
     if len(names) > 1 and not names[-1].startswith("-"):
@@ -96,6 +101,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code: 0 pass, 1 fail, 2 wrong usage, 3 aborted, 4 device fault.
 
     ``argv`` defaults to the arguments of the process. 2, too, if the system lacks something or stdout was closed.
+    SystemExit with 0 after --help, and with 2 for arguments that do not parse. With --ui the command ``ui`` is run in
+    place of the one typed. Environment variables of this process are set, for it and all that it starts.
     """
     _spell_out()
     parser, typed = make_parser(), sys.argv[1:] if argv is None else list(argv)
@@ -119,8 +126,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _carry_out(command: str, arguments: argparse.Namespace) -> int:
     """Import and call the function of a command, after registering effects of plug-ins; return its exit code.
 
-    Errors of the station are printed, with --json as an empty result, too: a DeviceError gives 4, others 2. Lack of
-    memory or threads gives 2, Ctrl-C 3. Any other exception is raised.
+    Problems of plug-ins are printed, and the command is run nevertheless. Errors of the station are printed, with
+    --json as an empty result, too: a DeviceError gives 4, others 2. Lack of memory or threads gives 2, Ctrl-C 3. Any
+    other exception is raised.
     """
     module = None
     try:
@@ -141,8 +149,9 @@ def _carry_out(command: str, arguments: argparse.Namespace) -> int:
 
 
 def _spell_out() -> None:
-    """Make stdout and stderr replace characters that they cannot encode: a few by words such as "deg", others by
-    "?".
+    """Make stdout and stderr replace characters that they cannot encode: a few by words such as "deg", others by "?".
+
+    Streams that have been replaced by something else than a TextIOWrapper, as in tests, are left alone.
     """
     words = {"±": "+-", "…": "...", "°": "deg", "µ": "u", "→": "->", "–": "-"}
 
@@ -159,7 +168,8 @@ def _spell_out() -> None:
 def _refuse(error: Exception, module: ModuleType | None, arguments: argparse.Namespace) -> int:
     """Print the error on stderr and, with --json, an empty result on stdout; return 4 for a device, else 2.
 
-    A command whose result has its own keys makes the empty result with ``refused(reason, arguments)``.
+    A command whose result has its own keys makes the empty result with ``refused(reason, arguments)`` in its
+    ``module``. All others, and those whose module could not be imported (None), give the common one.
     """
     tell(f"station: {harmless(str(error))}", sys.stderr)
     fault = isinstance(error, DeviceError)
@@ -182,8 +192,10 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _add(parser: argparse._ActionsContainer, options: Sequence[Any]) -> None:
-    """Add options to a parser: a list for ``_take``, the name of a shared group, or a table of mutually exclusive
-    ones.
+    """Add options to a parser, each given in one of three forms.
+
+    It is a list ``[spelled, help]`` or ``[spelled, help, table of keywords]`` for ``_take``, the name of a list of
+    shared options, or a table whose ``either`` lists mutually exclusive options.
     """
     for option in options:
         if isinstance(option, str):
@@ -207,7 +219,8 @@ def _add_command(commands: "argparse._SubParsersAction[_Parser]", name: str, opt
 def _number(kind: type[float], fits: Callable[[float], bool], wrong: str) -> Callable[[str], float]:
     """Return a converter for argparse of text to a number of type ``kind``.
 
-    ArgumentTypeError with the text ``wrong`` for numbers for which ``fits`` is false, ValueError for no number.
+    It raises ArgumentTypeError with the text ``wrong`` for a number for which ``fits`` is false, and ValueError for a
+    text that is no number.
     """
 
     def read(text: str) -> float:

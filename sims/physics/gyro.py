@@ -88,7 +88,8 @@ class GyroArray:
         """Return the outputs (n, m) in rad/s at n successive sampling instants, the first of which is now.
 
         Coming samples are computed ahead. If the table got a new command meanwhile, their true part is computed anew,
-        while the noise of each instant stays.
+        while the noise of each instant stays. A call for another number of samples than the last discards those ahead,
+        their noise included.
         """
         n = len(t_s)
         if n != self._per_call or not len(self._ahead):

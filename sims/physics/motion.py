@@ -51,8 +51,9 @@ class AxisMotion:
         return first.angle_rad, first.rate_rps
 
     def angles(self, t_s: Floats) -> Floats:
-        """Return the angle in rad at each instant (n,) in s, in ascending order or not; at the first angle before all
-        motion.
+        """Return the angle in rad at each instant (n,) in s, in ascending order or not.
+
+        Before the first segment that is kept it is the angle at which that begins.
         """
         first_s = t_s.min()
         begun = [(0.0, self._segments[0].angle_rad, 0.0, 0.0)]
@@ -65,7 +66,10 @@ class AxisMotion:
         return np.asarray(angles[place] + dt * (rates[place] + 0.5 * accelerations[place] * dt))
 
     def rates(self, t_s: Floats) -> Floats:
-        """Return the rate at each instant (n,), in ascending order or not."""
+        """Return the rate in rad/s at each instant (n,) in s, in ascending order or not.
+
+        Before the first segment that is kept it is the rate at which that begins; 0 before all motion.
+        """
         out = np.full(len(t_s), self._segments[0].rate_rps)
         for segment in self._segments:
             if segment.t_s > -math.inf:
@@ -78,8 +82,10 @@ class AxisMotion:
         return t_s >= self._ends_s
 
     def jog(self, t_s: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Change to a rate along a ramp from the instant ``t_s`` on; rate and acceleration are limited to those of the
-        axis.
+        """Change to a rate along a ramp from the instant ``t_s`` on, in place of the present motion.
+
+        Rate and acceleration are limited to those of the axis. The sign of the acceleration is ignored; 0 stands for
+        the largest.
         """
         rate_rps = min(max(rate_rps, -self.max_rate_rps), self.max_rate_rps)
         acceleration = self._acceleration(acceleration_rps2)
@@ -96,8 +102,9 @@ class AxisMotion:
         """Go to an angle from the instant ``t_s`` on, and stay there: a trapezoid of rate, a triangle if the way is
         short.
 
-        Rate (its sign is ignored) and acceleration are limited to those of the axis. If the axis is too fast to stop
-        there, or faster than the rate, it first comes to rest. A rate of 0 is a stop.
+        Rate and acceleration are limited to those of the axis, and their signs ignored. If the axis is too fast to stop
+        there, turns the other way or faster than the rate, it first comes to rest. A rate of 0 is a stop, an
+        acceleration of 0 the largest.
         """
         acceleration = self._acceleration(acceleration_rps2)
         top = min(abs(rate_rps), self.max_rate_rps)

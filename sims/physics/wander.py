@@ -31,7 +31,7 @@ class Wander:
         self._decays: dict[int, tuple[Floats, Floats]] = {}
 
     def step(self, samples: int) -> Floats:
-        """Return the biases (count,) after ``samples`` more samples."""
+        """Move on by ``samples`` samples, and return the biases (count,) then."""
         keep, push = self._decay(samples)
         self._processes = keep * self._processes + push * self._random.standard_normal(self._processes.shape)
         if self._random_walk:
@@ -40,7 +40,10 @@ class Wander:
         return np.asarray(self._size * self._processes.sum(axis=0) + self._walk)
 
     def steps(self, samples: int, count: int) -> Floats:
-        """Return the biases (count, sensors) after each of ``count`` steps of ``samples``, as ``step`` gives them."""
+        """Move on by ``count`` steps of ``samples`` samples, and return the biases (count, sensors) after each.
+
+        They are those that as many calls of ``step`` would give.
+        """
         keep, push = self._decay(samples)
         shape = self._processes.shape
         rows = shape[0] + bool(self._random_walk)

@@ -90,8 +90,9 @@ class AerosmithController(LineController):
     def _move(self, word: str, value: float) -> str | None:
         """Start a jog at ``value`` deg/s, a move to (MOV) or by (RMO) that many deg, or, with ``word`` HOM, homing.
 
-        Returns "?" if refused, None for a jog, whose prompt is held back, else "". Refused with the servo off, for a
-        jog that is too fast or no whole number of deg/s, or towards a pressed limit switch.
+        Returns "?" if refused, None for a jog, whose prompt is held back, else "". All are refused with the servo off,
+        a jog also if it is too fast, no whole number of deg/s, or towards a pressed limit switch. VEL and ACL limit
+        moves; a refused jog towards a switch ends homing.
         """
         if not self._servo_on or (word == "JOG" and (abs(value) > self._most_dps * 1.001 or value % 1.0)):
             return "?"

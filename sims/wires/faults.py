@@ -377,7 +377,10 @@ def _share(random: np.random.Generator, share: float) -> bool:
 
 
 def _split(table: Mapping[str, object], kinds: tuple[type, type], where: str) -> tuple[dict[str, object], ...]:
-    """Return the parts of a table that belong to each of two kinds; keys of both go to the first."""
+    """Return the parts of a table that belong to each of two kinds; keys of both go to the first.
+
+    HiddenError, which begins with ``where``, for a key of neither.
+    """
     known = [{key_of(described): described for described in fields(kind)} for kind in kinds]
     refuse_unknown(table, known[0] | known[1], where)
     first = {key: value for key, value in table.items() if key in known[0]}

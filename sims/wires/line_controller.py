@@ -79,7 +79,11 @@ class Watchdog:
         asyncio.get_running_loop().call_later(for_s, self._look)
 
     def _look(self) -> None:
-        """Call back if the silence is over, or look again later; nothing if disarmed or without a limit."""
+        """Call back if the silence has lasted for its limit, else look again when it would have.
+
+        Nothing, and no look again, if disarmed or without a limit. After the call it watches again from the next
+        ``heard`` on.
+        """
         self._watching = False
         silence_s = self._silence_s()
         remaining_s = self._heard_s + silence_s - self._clock()

@@ -141,7 +141,8 @@ class SlcanAdapter(LineDevice):
     def _transmit(self, text: str) -> bytes:
         """Pass a frame of the host, written as in ``text``, to the bus and return the answer.
 
-        BELL for an invalid frame, and while the channel is closed or only listens.
+        It is CR while the host polls, else z or, for 29-bit identifiers, Z before it. BELL for an invalid frame, and
+        while the channel is closed or only listens.
         """
         message = decode_frame(text)
         if message is None or not self.is_open or self._listens_only:

@@ -83,8 +83,8 @@ def held_forces(exported: Exported, form: str = "", *, triad: bool, parts: Colle
     """Return what a format holds of the accelerometers of an export.
 
     ``form`` names it in messages. With ``triad`` it holds exactly three accelerometers. ``parts`` are those that it
-    holds beside the constants. Without accelerometers nothing is held, and no line says so; for those of several
-    places, or that the format cannot hold, only a line says why.
+    holds beside the constants; lines say which others the calibration has. Without accelerometers nothing is held, and
+    no line says so. For those of several sources, or that do not span space or fit the format, one line says why.
     """
     if not exported.forces:
         return HeldForces()
@@ -105,7 +105,7 @@ def left_out(exported: Exported, why: str) -> HeldForces:
 
 
 def lower_and_rotation(sensitivity: Floats) -> tuple[Floats, Floats] | None:
-    """Return a lower triangular matrix with positive diagonal and a rotation whose product is ``sensitivity`` (3, 3).
+    """Return a lower triangular matrix (3, 3), its diagonal positive, and a rotation; their product is ``sensitivity``.
 
     None if the rows of ``sensitivity`` are a left-handed triad.
     """
@@ -118,7 +118,10 @@ def lower_and_rotation(sensitivity: Floats) -> tuple[Floats, Floats] | None:
 
 
 def sensitivity_of(accelerometers: Sequence[AccelerometerCalibration]) -> Floats:
-    """Return outputs per specific force along body x, y, z (a, 3)."""
+    """Return outputs per specific force along body x, y, z (a, 3), by the states and nominal axes of accelerometers.
+
+    Effects beside the states are not in it. There must be one accelerometer or more.
+    """
     array = SensorArray(
         tuple(one.name for one in accelerometers),
         np.array([one.p for one in accelerometers]),

@@ -95,9 +95,10 @@ def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0, join
 
     It is in the axes of the device, however this was mounted on the table.
     ``instance`` is the number of the gyro in an autopilot. With ``joined``, recordings of the device in other
-    mountings, it is the calibration of all of them. RecordingError if there is no calibration, ModelError or
-    CompensationError for effects of another version, UsageError for a device that the recording does not have, or for
-    the file of an error model.
+    mountings, it is the calibration of all of them, judged anew by the limits of ``path``. RecordingError if there is
+    no calibration, ModelError or CompensationError for effects of another version, UsageError for a device that the
+    recording does not have, for the file of an error model, or for an error model of a device that was turned on the
+    table.
     """
     recording = _read(path)
     calibration = _joined(recording, joined) if joined else read_calibration(path, trusted=True)
@@ -147,9 +148,7 @@ def _units_of(recording: Recording) -> Units:
 
 
 def _read(path: Path) -> Recording:
-    """Return the recording; UsageError if the file is an error model of a type instead, RecordingError for any
-    other.
-    """
+    """Return the recording; UsageError if the file is the error model of a type, RecordingError for any other file."""
     try:
         return read_recording(path)
     except RecordingError:
@@ -183,7 +182,10 @@ def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]
 
 
 def _measured_utc(recording: Recording) -> str:
-    """Return when the first sample was taken, ISO 8601; empty in virtual time and for imports without a date."""
+    """Return when the first sample of any source was taken, UTC, ISO 8601, to the second.
+
+    Empty in virtual time, for imports without a date, and for a start that is no valid time.
+    """
     first_ns = min((int(data.t_ns[0]) for data in recording.sources.values() if len(data.t_ns)), default=0)
     with suppress(KeyError, TypeError, OverflowError, OSError, ValueError):
         utc_s = float(recording.attributes["clock_zero_utc_s"]) + first_ns * 1e-9

@@ -72,5 +72,5 @@ def write_investigation(
 
 
 def _name(text: str) -> str:
-    """Return a name without slashes, which would make a group each."""
+    """Return a name with underscores for slashes, which would make a group each."""
     return text.replace("/", "_")

@@ -91,9 +91,10 @@ class Terms:
 
 
 def terms_of(compensation: Compensation) -> Terms:
-    """Return the terms of a compensation, with their values by gyro; effects of the same name get numbered tables.
+    """Return the terms of a compensation, with their values by gyro, in the order in which it has its effects.
 
-    An effect without a law has an empty expression.
+    A second effect of one name has its number behind the name of its table. An effect without a law has an empty
+    expression. One place more is counted if any term uses the slope of the temperature.
     """
     terms, places = [], 0
     for place, held in enumerate(compensation.effects):

@@ -92,6 +92,8 @@ def from_template(
     """Return a file made from the template of a format; its first lines say what it lacks and leaves to be done.
 
     ``dropped`` are effects of the gyros that it lacks, with reasons; ``forces`` is what it has of the accelerometers.
+    ``values`` are further names in the template. Its first line is the title of the file; with an empty ``head``, as it
+    is rendered first, the others are what is to be done by hand.
     """
     values |= {"numbers": lambda row: ", ".join(map(number, row)), "delay_s": exported.compensation.delay_s}
     values["force"] = forces.correction
@@ -102,11 +104,10 @@ def from_template(
 
 
 def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple[Compensation, dict[str, str]]:
-    """Return the compensation reduced to the effects ``keep``, for a format of three gyros, and why others are left
-    out.
+    """Return the compensation for a format of three gyros, with only the effects ``keep``, and by effect why others not.
 
-    Effects of the temperature are included in the constants by their value at the mean of the calibration. UsageError,
-    with what to do, if there are not three gyros; ``form`` names the format in it.
+    Other effects of the temperature are included in the constants by their value at the mean of the calibration.
+    UsageError, with what to do, if there are not three gyros; ``form`` names the format in it.
     """
     count = len(exported.gyros)
     if count != 3:

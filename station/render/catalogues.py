@@ -64,7 +64,10 @@ def _name(effect: EffectView) -> str:
 
 
 def _parameters(effect: EffectView) -> list[str]:
-    """Return a line on each parameter with its largest size, or one on all that have the same."""
+    """Return a line on each parameter with its largest size, or one on all if more than two have the same.
+
+    A last line names the settings that are found from the data, if there are any.
+    """
     sizes = [_largest(parameter) for parameter in effect.parameters]
     lines = [f"{parameter.name} {size}" for parameter, size in zip(effect.parameters, sizes, strict=True)]
     if len(sizes) > _MOST_SIZES and len(set(sizes)) == 1:

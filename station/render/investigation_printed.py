@@ -79,7 +79,10 @@ def _next(investigation: InvestigationView, how: str, drive: str) -> Iterator[Sh
 
 
 def _suspects(investigation: InvestigationView) -> Iterator[Shown]:
-    """Yield the suspects by falling probability, the improbable ones in a row together; nothing without suspects."""
+    """Yield the suspects by falling probability as a table; nothing without suspects.
+
+    It has at most eight, each of 0.5 % or more; a last row has the number and probability of the others together.
+    """
     if not investigation.suspects:
         return
     ranked = sorted(investigation.suspects, key=lambda suspect: -(suspect.probability or 0.0))

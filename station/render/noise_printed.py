@@ -17,7 +17,10 @@ _COLUMNS = 3  # sensors side by side in it: 80 characters hold no more
 
 
 def print_noise(noises: Sequence[SensorNoise], share: float) -> None:
-    """Print the noise of sensors with a common unit, and the length to record to know it to ``share``."""
+    """Print the noise of sensors with a common unit, and the length to record to know it to ``share``.
+
+    Allan deviations, notes and warnings follow. There must be one sensor or more.
+    """
     unit, _ = noise_unit(noises[0].unit, 1)
     shown: list[Shown] = [
         (noise_table(f"Noise at rest with intervals of 95 %, {_rest(noises)}", noises), {}),
@@ -65,7 +68,10 @@ def _lengths(noises: Sequence[SensorNoise], share: float) -> Table:
 
 
 def _deviations(title: str, noises: Sequence[SensorNoise]) -> Table:
-    """Return a table of Allan deviations with intervals at some of the averaging times, one column per sensor."""
+    """Return a table of Allan deviations with intervals, one column per sensor, in the unit shown.
+
+    The sensors must have the same averaging times, of which it shows ten or fewer.
+    """
     _, factor = noise_unit(noises[0].unit, 1)
     tau_s = noises[0].curve.tau_s
     rows = []

@@ -104,7 +104,10 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
 
 
 def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
-    """Return the parity checks by gyro, with its source before its name where two have one name."""
+    """Return the parity checks by gyro, with its source before its name where two have one name.
+
+    Each has rms and worst deviation in sigmas, and whether the gyro is suspect.
+    """
     alike = Counter(check.name for check in checks)
     keys = [check.name if alike[check.name] == 1 else f"{check.source} {check.name}" for check in checks]
     values = [named(check, ("rms_sigma", "worst_sigma", "suspect")) for check in checks]
@@ -112,8 +115,9 @@ def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
 
 
 def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
-    """Return a gyro for --json: states, sigmas, budget, noise, and by effect and parameter the value, its sd and its
-    unit.
+    """Return a gyro for --json: states, sigmas, budget, noise, and its effects.
+
+    ``effects`` has by effect and parameter the value, its sd and its unit; it is missing if there are none.
     """
     effects: dict[str, dict[str, list[float | str]]] = {}
     for value in gyro.effects:

@@ -47,7 +47,10 @@ class Bar(Progress):
         self._task = self.add_task(begins, total=total, **fields)
 
     def _tell(self, line: str, share: float, due: bool | None = None, **values: Any) -> None:
-        """Show ``values`` in the bar; without a bar print the line if ``due``, by default after a step of the share."""
+        """Show ``values`` in the bar; without a bar print ``line`` if ``due``, nothing when quiet.
+
+        By default a line is due when ``share``, 0 to 1, is ``_EVERY`` or more beyond that of the last line.
+        """
         if not self.disable:
             self.update(self._task, refresh=self._at_once, **values)
         elif not self._quiet and (share - self._shown_share >= self._EVERY if due is None else due):

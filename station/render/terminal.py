@@ -90,7 +90,7 @@ class FittingTable(Table):
     """
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the table, or its parts."""
+        """Yield the table if it fits the console or has a column that folds, else its parts."""
         if self._fits(self, console, options) or any(column.overflow == "fold" for column in self.columns):
             yield from super().__rich_console__(console, options)
         else:
@@ -98,7 +98,11 @@ class FittingTable(Table):
                 yield from part.__rich_console__(console, options)
 
     def _parts(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
-        """Yield the table as parts that fit the console, each with the leading columns that are aligned left."""
+        """Yield the table as parts that fit the console, each with the leading columns that are aligned left.
+
+        Only the first part has the title. A part has at least one further column, and its dim ones, even if it is then
+        too wide.
+        """
         names = next((n for n, column in enumerate(self.columns) if column.justify != "left"), 1)
         shown, title = list(self.columns[:names]), self.title
         for column in self.columns[names:]:

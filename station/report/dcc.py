@@ -37,9 +37,10 @@ def check_facts(formal: Formal) -> None:
 
 
 def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | None = None) -> bytes:
-    """Return the digital calibration certificate, valid by the schema, with the PDF embedded if given.
+    """Return the digital calibration certificate as XML in UTF-8, valid by the schema, with the PDF embedded if given.
 
-    UsageError if the report is neither a certificate nor a specimen, or if mandatory facts are missing.
+    Characters that XML forbids are replaced by U+FFFD. UsageError if the report is neither a certificate nor a
+    specimen, if mandatory facts are missing, or if the result is not valid.
     """
     check_facts(formal)
     if report.standing.kind not in (Kind.CERTIFICATE, Kind.SPECIMEN):
@@ -72,8 +73,10 @@ def validate(xml: bytes) -> None:
 
 
 def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
-    """Return the certificate with an enveloped XAdES signature, still valid by the schema; UsageError as
-    ``read_key``.
+    """Return the certificate ``xml`` with an enveloped XAdES signature by the key in the file ``key``.
+
+    The line that names a stylesheet for browsers stays in the result, but is not signed. UsageError as ``read_key``,
+    or if the result is not valid by the schema.
     """
     from signxml.xades.xades import XAdESDataObjectFormat, XAdESSigner
 
@@ -92,9 +95,11 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
 
 
 def read_key(key: Path, certificate: Path) -> tuple[Any, str, Any]:
-    """Return a private key, its certificate (PEM) and the signature method (RSA or ECDSA with SHA-256).
+    """Return the private key in a PEM file, the text of its X.509 certificate (PEM), and the signature method.
 
-    UsageError if they cannot be read, do not belong together, are neither RSA nor ECDSA, or packages are missing.
+    The method is ECDSA with SHA-256 for a key on a curve, else RSA with SHA-256. UsageError if a file cannot be read,
+    the key needs a password, the two do not belong together, a key as of Ed25519 cannot sign XML, or packages are
+    missing.
     """
     try:
         from cryptography import x509

@@ -52,9 +52,10 @@ class ForceResult:
 
 
 def force_results(forces: tuple[ForceCalibration, ...], before: str, dsi: Mapping[str, str]) -> list[ForceResult]:
-    """Return the results of the accelerometers of all sources.
+    """Return the results of the accelerometers of all sources: one for each accelerometer, then one for the triad.
 
-    ``before`` begins their ids. ``dsi`` has the units of effects in D-SI by their SI names.
+    Sources without a calibrated accelerometer are left out. ``before`` begins the ids. ``dsi`` has the units of effects
+    in D-SI by their SI names.
     """
     found = []
     for number, one in enumerate(forces):
@@ -114,9 +115,10 @@ def _place(accelerometer: AccelerometerCalibration) -> QuantityList:
 
 
 def _effects(calibration: ForceCalibration, place: int, dsi: Mapping[str, str]) -> Iterator[QuantityList]:
-    """Yield the parameters of the effects of accelerometer number ``place``, as one list, if there are any.
+    """Yield the parameters of the effects of accelerometer number ``place``, as one list; nothing if there are none.
 
-    ``dsi`` has the D-SI name of each unit; a parameter whose unit has none is given in words.
+    ``dsi`` has the D-SI name of each unit. A parameter whose unit is not in it gets an empty unit, and its ``words``
+    state value, SI unit and expanded uncertainty. The description says what each parameter adds to the output.
     """
     quantities: list[Quantity] = []
     for effect in calibration.effects:
@@ -136,7 +138,10 @@ def _effects(calibration: ForceCalibration, place: int, dsi: Mapping[str, str]) 
 
 
 def _triad(calibration: ForceCalibration) -> Iterator[QuantityList]:
-    """Yield sensitivities, offsets and angles (Geist et al. 2017), and the delay of the outputs if it is known."""
+    """Yield a list each of sensitivities, offsets and angles (Geist et al. 2017), and of the delay if it is known.
+
+    The delay is that of the outputs after the readings of the table, in s.
+    """
     found: Intrinsic = calibration.intrinsic
     sensitivities = zip(found.names, found.sensitivity, found.sensitivity_sd, strict=True)
     offsets = zip(found.names, found.offset_mps2, found.offset_sd_mps2, strict=True)

@@ -87,7 +87,11 @@ class HeadView:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class Report:
-    """A document, SHA-256 of its sources ("file", "data" of the recording), the device as found, what was not seen."""
+    """A document, the device as found, and what was not seen; ``not_seen`` is None for a joined calibration.
+
+    ``hashes`` are SHA-256 of its sources: "file" of the recording and "data" in it, and as far as there are such files
+    "investigation" (if not in the recording), "as_found", and "joined_2" and on, of the further joined recordings.
+    """
 
     html: str
     standing: Standing
@@ -100,8 +104,10 @@ class Report:
 def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
     """Return the report of a recording with its formal facts, and with an investigation if there is one.
 
-    BenchError if the bench text in the recording cannot be read, EstimatorError for an error model of another version,
-    UsageError if the recording as found does not match.
+    Characters that could change the structure or direction of the text are made harmless. Figures of a joined
+    calibration do not say where they stand, as no recording holds them. BenchError if the bench text in the recording cannot be read,
+    EstimatorError for an error model of another version, UsageError if the recording as found does not match or a logo
+    cannot be read, RecordingError for content that cannot be laid out.
     """
     hashes = {"file": file_sha256(recorded.path), "data": raw_sha256(recorded.path)}
     if traced is not None and traced.path != recorded.path:
@@ -148,8 +154,9 @@ class _Sources:
 
 
 def _values(sources: _Sources) -> dict[str, object]:
-    """Return the chapters by the names that the templates have for them; those on a calibration only if there
-    is one.
+    """Return the chapters by the names that the templates have for them.
+
+    Those on a calibration are missing if there is none; ``mountings`` is None unless the calibration is joined.
     """
     recorded = sources.recorded
     headings = _headings(sources)
@@ -177,7 +184,11 @@ def _values(sources: _Sources) -> dict[str, object]:
 
 
 def _calibrated(sources: _Sources, calibration: Calibration) -> dict[str, object]:
-    """Return the chapters on a calibration, by the names that the templates have for them."""
+    """Return the chapters on a calibration, by the names that the templates have for them.
+
+    States are in the units of the limits in the recording, else in those used by default. Some chapters are None where
+    there is nothing to show, such as ``as_found`` without a recording of that.
+    """
     recorded, traced, before = sources.recorded, sources.traced, sources.before
     limits = limits_of(recorded)
     states = figures.states_in(limits.units if limits is not None else Units())
@@ -203,7 +214,9 @@ def _calibrated(sources: _Sources, calibration: Calibration) -> dict[str, object
 def _headings(sources: _Sources) -> dict[str, Heading]:
     """Return the headings of the chapters that the report has, numbered without gaps.
 
-    Chapters of a calibration, as found, of accelerometers and of verification are left out where there is none.
+    Chapters of a calibration, as found, of accelerometers and of verification are left out where there is none. A
+    joined calibration has no chapters on one run alone. With an investigation the verification has a chapter, so the
+    one before it is only "Residual".
     """
     titles = dict(_CHAPTERS)
     if sources.recorded.calibration is None:
@@ -224,7 +237,8 @@ def _headings(sources: _Sources) -> dict[str, Heading]:
 def _head(sources: _Sources) -> HeadView:
     """Return title, number, laboratory, logo, warning, outcome and foot of the document.
 
-    Without a laboratory it is the station; the device is its serial number, else its name.
+    Without a laboratory it is the station; the device is its serial number, else its name; the logo is empty if none is
+    stated. UsageError for a logo that cannot be read.
     """
     recorded, formal, standing = sources.recorded, sources.formal, sources.standing
     device = formal.item_serial_number or recorded.text("device")
@@ -254,7 +268,11 @@ def _made_with() -> str:
 
 
 def _as_found(recorded: Recorded, path: Path) -> Recorded:
-    """Return the recording of the device as found; UsageError unless it is an earlier calibration of the same gyros."""
+    """Return the recording of the device as found; UsageError unless it is an earlier calibration of the same gyros.
+
+    The order is not checked if the start of ``recorded`` is unknown; an unknown start of the other counts as later.
+    Serial numbers must not differ; one that is unknown fits all.
+    """
     before = read_recorded(path)
     serials = {before.text("device_serial"), recorded.text("device_serial"), ""}
     later = recorded.begun_utc and not (before.begun_utc and before.begun_utc <= recorded.begun_utc)

@@ -78,6 +78,8 @@ class Standing:
 def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
     """Return the kind, verdict and judged limits of a recording's document, by its formal facts, by default its own.
 
+    A run that merits a certificate has as its kind the first formal reason against one, with the others in ``beside``;
+    with simulated devices and no such reason it is a SPECIMEN. There are no lines without limits or a calibration.
     BenchError if its bench text cannot be read.
     """
     formal, limits, found = formal or read_formal(recorded), limits_of(recorded), recorded.calibration
@@ -106,8 +108,8 @@ def _guarded(line: LimitLine, calibration: Calibration, false_accept: float | No
     """Return the limit of a state with its guard band; unchanged for other limits, or if ``false_accept`` is None.
 
     At the acceptance limit the probability that the state, normal about its estimate with its u, is beyond one of its
-    limits is ``false_accept`` (JCGM 106:2012, 7.4 and 8.3.2; ILAC-G8:09/2019, 4.2.2). If it is larger even in the
-    middle, nothing is accepted.
+    limits, plus or minus ``line.high``, is ``false_accept`` (JCGM 106:2012, 7.4 and 8.3.2; ILAC-G8:09/2019, 4.2.2). If
+    it is larger even in the middle, or u is not above 0, the band is infinite, so that nothing is accepted.
     """
     if false_accept is None or line.state is None or line.row is None or line.of_u:
         return line
@@ -124,8 +126,9 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, 
 
     A run by hand, aborted or ended by a fault keeps the verdict with which it ended, as does one without a calibration.
     Otherwise the calibration is judged by ``limits``, and a pass that is within them but not within ``lines``, those
-    with guard bands, is a fail. Imported data are ELSEWHERE unless they fail; without limits a run is UNJUDGED. A
-    calibration that passes is no certificate if the run itself ended otherwise.
+    with guard bands, is a fail. Imported data are ELSEWHERE unless they fail; without limits a run is UNJUDGED, with no
+    verdict. A pass of several runs is JOINED. A calibration that passes is FAILED, with the verdict of the run, if the
+    run ended with another outcome than PASS or ESTIMATED.
     """
     ended = ended_of(recorded.recording.attributes)
     if ended is not None and not recorded.joined and ended.outcome in (Outcome.MANUAL, Outcome.ABORTED, Outcome.FAULT):
@@ -152,9 +155,10 @@ def _kind_of(recorded: Recorded, limits: Limits | None, lines: tuple[LimitLine, 
 
 
 def is_simulated(recorded: Recorded) -> bool:
-    """Return whether a run was made with twins: by their links, or by a time scale other than 1.
+    """Return whether a run was made with twins: by the links of devices or table, or by the time that it ran in.
 
-    Twins on real ports in real time cannot be told from devices.
+    That is virtual time, or a time scale other than 1, and counts only if the recording lists devices. Twins on real
+    ports in real time cannot be told from devices.
     """
     attributes = recorded.recording.attributes
     links = [str(device).rstrip(")") for device in attributes.get("devices", ())]
@@ -169,9 +173,10 @@ def limits_of(recorded: Recorded) -> Limits | None:
 
 
 def number_of(recorded: Recorded, hashes: tuple[str, ...], replaces: str = "") -> str:
-    """Return a document number from the date and the hashes of the sources: the same sources give the same number.
+    """Return a document number, "YYYYMMDD-" and ten hexadecimal digits: the same sources give the same number.
 
-    An amendment has another number than the document that it ``replaces``.
+    The digits depend on the ``hashes`` and on the number that it ``replaces``, so that an amendment has another number.
+    The date, UTC, is that of the measurement; it is left out if that is unknown.
     """
     digest = hashlib.sha256("".join((*hashes, replaces)).encode()).hexdigest()[:10].upper()
     begun = recorded.begun_utc

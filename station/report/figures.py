@@ -61,10 +61,10 @@ def states_in(units: Units) -> tuple[tuple[Markup, Unit], ...]:
 
 
 def figure(value: float, unit: Unit, text: str, source: str | None = None, times: float | None = None) -> Markup:
-    """Return a figure as HTML that also carries its full SI value.
+    """Return a figure as HTML that shows ``text``, without its unit, and also carries its full ``value`` in SI.
 
     ``source`` is its place in the recording: "group/dataset[row,column]" or "group@attribute"; ``times`` the factor by
-    which that was multiplied.
+    which the value there is to be multiplied. What is None is left out.
     """
     beside = {
         "value": repr(float(value)),
@@ -145,8 +145,9 @@ def parameters(sizes: Iterable[Size], values: Iterable[float]) -> Markup:
 
 
 def rounded(value: float, uncertainty: float) -> str:
-    """Return a value rounded to the second digit of its uncertainty, at most nine decimals; six digits without
-    uncertainty.
+    """Return a value rounded to the second significant digit of its uncertainty, with at most nine decimals.
+
+    Without an uncertainty that is finite and above 0 it has six significant digits. ``UNKNOWN`` if it is not finite.
     """
     if not math.isfinite(value):
         return UNKNOWN

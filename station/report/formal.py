@@ -98,8 +98,11 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
     """Return the formal facts of a recording: its own, those of its bench, overridden by those of the file ``meta``.
 
     By default ``meta`` is the file kept by the form on the screen, if there is one; ``text`` is used in place of its
-    content. UsageError with line and key for a file that is invalid or of another device, BenchError for the bench
-    text.
+    content. Serial number, approver and date of measurement are by default those of the recording. A logo is read from
+    the folder of the recording, unless a ``meta`` other than the form's file names it. A guard band has by default the
+    probability of false acceptance 0.025. Without the rule "guard band" a stated one is an error, but that of the bench
+    is dropped if the file has another rule. UsageError with line and key for a file that is invalid, of another device,
+    or with impossible dates; BenchError for the bench text.
     """
     beside, kept = recorded.path.parent, kept_facts(recorded.path)
     text = read_text(meta or kept, UsageError) if text is None and (meta or kept.is_file()) else text or ""
@@ -134,7 +137,10 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
 
 
 def logo_of(path: Path) -> str:
-    """Return a picture as a data URI; UsageError if it cannot be read or is not a complete SVG, PNG or JPEG."""
+    """Return a picture as a data URI; UsageError if it cannot be read or is not a complete SVG, PNG or JPEG.
+
+    A file is taken as SVG by its suffix, as one of the others by its content. One that is too large cannot be read.
+    """
     from lxml import etree
     from PIL import Image, ImageFile
 
@@ -158,9 +164,10 @@ def logo_of(path: Path) -> str:
 
 
 def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) -> None:
-    """Check the order of all dates; the table's error if one is impossible.
+    """Check the order of all dates that are stated, those of the equipment too; the table's error if one is impossible.
 
-    ``begun`` is the start of the recording, UTC; local time may be 12 h behind to 14 h ahead of it.
+    ``begun`` is the start of the recording, UTC, None if unknown; the date of measurement, in local time, may be 12 h
+    behind to 14 h ahead of it, and one day out of order with the dates of the document.
     """
     day = stated["performed_date"]
     for one in stated.get("equipment", ()):
@@ -188,7 +195,10 @@ def _check_dates(top: Table, stated: Mapping[str, Any], begun: datetime | None) 
 
 
 def _facts(top: Table, folder: Path) -> Iterator[tuple[str, Any]]:
-    """Yield (field, value) of the facts stated in a file; missing ones are left out."""
+    """Yield (field, value) of the facts stated in a file; missing ones are left out.
+
+    A field is "section_key"; "equipment" is a tuple of all its instruments. Paths are relative to ``folder``.
+    """
     for section in keys_of("certificate.certificate_file"):
         own = f"certificate.{section.name}"
         if section.kind == "tables":

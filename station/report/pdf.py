@@ -12,7 +12,7 @@ def print_pdf(html: str, pdf: Path) -> bytes:
     """Print the report ``html`` as PDF/A-3b (ISO 19005-3) with matplotlib's fonts, write it to ``pdf``, and return it.
 
     Only data URIs and these fonts are loaded; anything else is left out. UsageError if WeasyPrint or Pango is not
-    installed.
+    installed, or if ``pdf`` exists or cannot be written.
     """
     try:
         with warnings.catch_warnings():

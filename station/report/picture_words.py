@@ -24,7 +24,10 @@ class LastEstimate:
 
 
 def rates_words(quantity: str, span_s: float, largest: Sequence[str]) -> PictureWords:
-    """Return the words for rates over ``span_s``; ``quantity`` says which, ``largest`` has the range of each."""
+    """Return the words for rates over ``span_s``; ``quantity`` says which, such as "rates of the body".
+
+    ``largest`` has a text for each panel: its name and the range of its rate in deg/s.
+    """
     return PictureWords(
         alternative=(
             f"Line plots of the {quantity} over {span_s:.0f} s, one panel each, in degrees per second: "
@@ -35,7 +38,7 @@ def rates_words(quantity: str, span_s: float, largest: Sequence[str]) -> Picture
 
 
 def convergence_words(gyro: str, last: Sequence[LastEstimate]) -> PictureWords:
-    """Return the words for the live estimates of a gyro, which end with ``last``."""
+    """Return the words for the live estimates of a gyro, whose four states end with ``last``."""
     figures = [
         f"{name} {state.value:.4g} ± {state.sd:.2g} {state.unit}"
         for name, state in zip(_STATE_NAMES, last, strict=True)
@@ -50,7 +53,7 @@ def convergence_words(gyro: str, last: Sequence[LastEstimate]) -> PictureWords:
 
 
 def nis_words(means: Sequence[str]) -> PictureWords:
-    """Return the words for the innovations; ``means`` has the mean of each source."""
+    """Return the words for the innovations; ``means`` has a text for each source: its name and its mean NIS per dof."""
     return PictureWords(
         alternative=(
             "Line plot of the normalised innovations squared per degree of freedom over time, one line a source; "
@@ -63,7 +66,7 @@ def nis_words(means: Sequence[str]) -> PictureWords:
 
 
 def allan_words(lowest: Sequence[str]) -> PictureWords:
-    """Return the words for Allan deviations; ``lowest`` has the lowest of each gyro."""
+    """Return the words for Allan deviations; ``lowest`` has a text for each gyro: its name and its lowest, in deg/h."""
     return PictureWords(
         alternative=(
             "Allan deviation at rest against averaging time, both logarithmic, one line a gyro; "

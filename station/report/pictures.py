@@ -75,7 +75,10 @@ class Picture:
 
 
 def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, quantity: str) -> Picture:
-    """Return the picture of rates (N, axes) of ``names`` over time, one panel each; ``quantity`` says what they are."""
+    """Return the picture of rates (N, axes) of ``names`` over time, one panel each in °/s.
+
+    ``t_s`` (N,) counts from the begin of the script; ``quantity`` says what the rates are. Long curves are thinned.
+    """
     with _drawn((WIDTH_IN, 0.36 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
             at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
@@ -95,7 +98,7 @@ def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, quantity:
 def convergence_pictures(recorded: Recorded, states: Sequence[tuple[Markup, Unit]]) -> list[Picture]:
     """Return a picture per gyro of its states and sigmas over time, a panel per state; grey lines where steps begin.
 
-    ``states`` has symbol and unit of each state.
+    ``states`` has symbol and unit of each state. Sources without live estimates have no pictures.
     """
     turns_s = [(step.start_ns - recorded.start_ns) * 1e-9 for step in recorded.steps]
     return [
@@ -147,7 +150,11 @@ def _last_estimates(course: Course, channel: int, states: Sequence[tuple[Markup,
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:
-    """Return a picture of the NIS per degree of freedom of each source, in some 60 means; None if none is stored."""
+    """Return a picture of the NIS per degree of freedom of each source, in some 60 means; None if none is stored.
+
+    Sources without NIS are left out. A band shows where 95 % of the means with the fewest degrees of freedom would lie
+    if all sigmas were right.
+    """
     courses = [(name, course) for name, course in recorded.courses.items() if len(course.nis)]
     if not courses:
         return None
@@ -199,8 +206,8 @@ def allan_picture(recorded: Recorded) -> Picture | None:
 def draw_noise(path: Path, noises: Mapping[str, Sequence[Sequence[SensorNoise]]]) -> None:
     """Draw the Allan deviations of sensors at rest with their intervals and the fit of N, B and K, into a file.
 
-    ``noises`` are by source and kind of sensor; each kind of a source has a panel. UsageError if the file cannot be
-    written.
+    ``noises`` are by source and kind of sensor; each kind of a source has a panel. An existing file is overwritten.
+    UsageError if the file cannot be written.
     """
     kinds = [(source, kind) for source, of_source in noises.items() for kind in of_source]
     with _drawn((WIDTH_IN, 3.3 * len(kinds)), len(kinds), 1, top=0.3, between=0.7) as (figure, panels):
@@ -232,7 +239,10 @@ def _draw_allan(
     band: tuple[Floats, Floats] | None,
     factor: float,
 ) -> None:
-    """Draw the Allan deviation (t,) of sensor ``number`` and, if known, the ``band`` (t,), (t,) of its interval."""
+    """Draw the Allan deviation (t,) of a sensor and, if known, the ``band`` (t,), (t,) of its interval.
+
+    ``number`` selects colour and style. Deviation and band are multiplied by ``factor``, from SI to the unit shown.
+    """
     colour, style = _STYLES[number % len(_STYLES)]
     if band is not None:
         panel.fill_between(tau_s, band[0] * factor, band[1] * factor, color=colour, alpha=0.15, lw=0)
@@ -268,11 +278,10 @@ def _rms_dph(residual_rps: Floats) -> float:
 
 
 def draw_investigation(path: Path, investigation: Investigation) -> None:
-    """Draw each gyro's residual before and after into a file: over time, against rate and temperature, and its
-    spectrum.
+    """Draw each gyro's residual before and after into a file: over time, against rate and temperature, as a spectrum.
 
-    The verification run is drawn, or else the first recording. UsageError if there is nothing to draw or the file
-    cannot be written.
+    Temperature and spectrum have no panels if no gyro has them. The verification run is drawn, or else the first
+    recording. An existing file is overwritten. UsageError if there is nothing to draw or the file cannot be written.
     """
     views, spectra = judged_views(investigation.views), judged_spectra(investigation)
     if not views:
@@ -302,7 +311,12 @@ def draw_investigation(path: Path, investigation: Investigation) -> None:
 
 
 def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
-    """Draw one gyro into a row of panels, with labels for the legend; ``warm`` adds a panel over temperature."""
+    """Draw the residual of one gyro, before and after, into a row of panels, with labels for the legend.
+
+    The panels are over time (means of stretches), against the rate, with ``warm`` against the temperature, and with
+    ``spectra`` the spectrum. The one over temperature stays empty for a gyro without temperatures. Grey bands are two
+    sigma of the noise.
+    """
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))
     since = view.t_s - view.t_s[0]
@@ -331,7 +345,10 @@ def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *,
 
 
 def _draw_spectra(panel: "Axes", spectra: Spectra) -> None:
-    """Draw the square roots of one-sided densities."""
+    """Draw the square roots of one-sided densities before, after and of the noise model, in °/h/√Hz over Hz.
+
+    Only the noise model appears in the legend.
+    """
     for colour, style, density, label in (
         (ORANGE, "-", spectra.before, "_before"),
         (BLUE, "-", spectra.after, "_after"),
@@ -369,7 +386,8 @@ def _drawn(
     """Give a figure of ``size`` (inches) with panels (rows, columns), in the style of the report.
 
     Margins and the space ``between`` panels are in inches: letting matplotlib find them doubles the time. ``widths``
-    are the relative widths of the columns. Panels of one column share their x axis.
+    are the relative widths of the columns. Panels of one column share their x axis. Settings of matplotlib are restored
+    at the end of the context.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

@@ -162,8 +162,8 @@ class Recorded:
 def read_recorded(path: Path) -> Recorded:
     """Return a recording with its results.
 
-    RecordingError for a file that cannot be read, is damaged or has no samples, or has neither a calibration nor the
-    reason why there is none.
+    A run by hand, failed, aborted or ended by a fault may lack a calibration. RecordingError for any other file without
+    one, and for a file that cannot be read, is damaged or has no samples.
     """
     import h5py
 
@@ -176,7 +176,10 @@ def read_recorded(path: Path) -> Recorded:
 
 
 def _recorded(path: Path, recording: Recording, calibration: Calibration | None) -> Recorded:
-    """Return a recording with a calibration, and all else that its file holds."""
+    """Return a recording with a calibration, None for none, and all else that its file holds.
+
+    Sources without live estimates or innovations have no course. RecordingError for results with a wrong layout.
+    """
     import h5py
 
     with laid_out(path, _LAYOUT), h5py.File(path, "r") as file:
@@ -196,9 +199,10 @@ def _recorded(path: Path, recording: Recording, calibration: Calibration | None)
 
 
 def read_joined(path: Path, others: Sequence[Path]) -> Recorded:
-    """Return a recording with the joined calibration of its device, from it and others in other mountings.
+    """Return the recording ``path`` with the joined calibration of its device, from it and others in other mountings.
 
-    RecordingError or UsageError for files that cannot be read or joined.
+    ``joined`` has all recordings, this one first; the live estimates and the noise at rest of this one run are left
+    out. RecordingError or UsageError for files that cannot be read or joined.
     """
     from station.run.joining import joined_of
 

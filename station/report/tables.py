@@ -68,7 +68,10 @@ def table_of(
 def grouped_table(
     heads: Sequence[Content], align: str, groups: Iterable[tuple[str, Iterable[Sequence[Content]]]]
 ) -> Table:
-    """Return a table of groups (name, rows), whose names stand in the first column; ``align`` as in ``table_of``."""
+    """Return a table of groups (name, rows), whose names stand in the first column; ``align`` as in ``table_of``.
+
+    Rows have no cell for the first column. The number of all rows together decides whether the table is long.
+    """
     laid_out = tuple(Group(name=name, rows=tuple(_row(cells, align[1:]) for cells in rows)) for name, rows in groups)
     return Table(
         heads=_cells(heads, align),

@@ -35,7 +35,7 @@ class Table(StrictTable):
     """One table of a file written by a person."""
 
     def fail_at(self, message: str) -> Exception:
-        """Return the error for a message that begins with its place in the file: "tone.1.size: ..."."""
+        """Return, not raise, the error for a message that begins with its place in the file: "tone.1.size: ..."."""
         where, _, problem = message.partition(": ")
         *way, key = (int(part) if part.isdigit() else part for part in where.split("."))
         place = type(self)({}, tuple(way), self._text, self._file, self._error)
@@ -44,11 +44,12 @@ class Table(StrictTable):
     def read(
         self, section: str, folder: Path = Path(), *, list_length: int = 1, **made: Callable[[str, Path], Any]
     ) -> dict[str, Any]:
-        """Return the values of a section's keys by field; None for one that is left out and has no default.
+        """Take the keys of a section and return their values by field.
 
-        Paths count from ``folder``; ``list_length`` is the length of lists with one value for each. ``made`` has
-        converters (text, folder) by key, the message of whose ValueError is shown. The table's error for an invalid
-        value.
+        A key that is left out has its default, else None, or [] for tables. Paths count from ``folder``;
+        ``list_length`` is the length of lists with one value for each. ``made`` has converters (text, folder) by key,
+        the message of whose ValueError is shown. The table's error for a value that is invalid, or left out and
+        required; unknown keys remain.
         """
         keys = (replace(key, read=made.get(key.name)) for key in keys_of(section))
         return {key.field or key.name: self.option(key, folder, list_length) for key in keys}
@@ -60,8 +61,10 @@ class Table(StrictTable):
         return found
 
     def check(self, *sections: str) -> None:
-        """Check the table and all tables in it against the declarations of ``sections``; the table's error if one is
-        invalid.
+        """Check the table and all tables in it against the declarations of ``sections``.
+
+        The key "*" of a section declares all keys that have no declaration of their own. The table's error for a value
+        that is invalid, and for a key that is not declared.
         """
         keys = {key.name: key for section in sections for key in keys_of(section)}
         for name in {**keys, **dict.fromkeys(self.remaining())}:
@@ -115,8 +118,10 @@ def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
 def _value(key: Key, value: object, folder: Path, list_length: int) -> Any:
     """Return the value of a key, converted by its kind; ValueError if it is invalid.
 
-    Paths count from ``folder``. Of a key for each of several things it is a tuple of ``list_length`` numbers, one
-    number standing for all. A file that has a schema is checked by it.
+    Numbers with units are returned in SI, dates as dates, paths with ``folder`` before them, lists of texts as tuples.
+    Of a key for each of several things it is a tuple of ``list_length`` numbers, one number standing for all. A file
+    that has a schema is checked by it if it exists; UsageError if it is invalid. A key with a converter ``read`` has
+    what that makes of the text.
     """
     if key.each:
         values = value if isinstance(value, list) else [value] * list_length

@@ -208,7 +208,10 @@ def _timed(method: Method, recording: Recording) -> Timed:
 
 
 def _summary(name: str, outcomes: Sequence[Timed]) -> MethodSummary:
-    """Return the errors of a method over its outcomes: rms, sigmas that it states, median time, operations a sample."""
+    """Return the errors of a method over its outcomes: rms, sigmas that it states, median time, operations a sample.
+
+    Errors are differences from the set values of the paper, in its units and order.
+    """
     return MethodSummary(
         name=name,
         rms=_rms([from_si(outcome.estimate.states) - TABLE_1 for outcome in outcomes]),

@@ -214,7 +214,10 @@ def our_errors(noise: NoiseModel, seed: int) -> Floats:
 
 
 def our_bound(noise: NoiseModel) -> Floats:
-    """Return the Cramer-Rao bound of one run of the 360 s script as sigmas (n, 4), in the paper's units and order."""
+    """Return the Cramer-Rao bound of one run of the 360 s script as sigmas (n, 4), in the paper's units and order.
+
+    The instability of ``noise`` is taken as the sum of Gauss-Markov processes of the twins.
+    """
     recording = our_recording(replace(noise, arw=0.0, instability=0.0), 0)
     w_rps = rows_of(recording)[0]
     rows = block_rows(recording.sources[SOURCE])
@@ -236,7 +239,10 @@ def rows_of(recording: Recording) -> tuple[Floats, Floats]:
 
 
 def our_curve(recording: Recording) -> Curve:
-    """Return how this station's live filter converges on a recording, once a second, for the data sheet's noise."""
+    """Return how this station's live filter converges on a recording, once a second, for the noise of a MEMS gyro.
+
+    The filter is given the white part of ``MEMS_NOISE``. Rows at the end that do not fill a block are left out.
+    """
     data = recording.sources[SOURCE]
     w_rps, y_rps = rows_of(recording)
     live = LiveFilter(data.array, np.full(len(data.array), MEMS_NOISE.arw * math.sqrt(SAMPLE_HZ)), data.prior)

@@ -207,8 +207,9 @@ def paper_object(study: PaperStudy) -> dict[str, Any]:
 
 
 def draw_convergence(path: Path, ours: Curve, letter: Curve) -> None:
-    """Draw each state of each gyro against time as in the paper's Figures 4 to 7, one row a gyro, and save it at
-    ``path``.
+    """Draw each state of each gyro against time as in the paper's Figures 4 to 7, one row a gyro, into a file.
+
+    An existing file at ``path`` is overwritten; its suffix decides on the format.
     """
     from matplotlib.figure import Figure
 
@@ -230,7 +231,10 @@ def draw_convergence(path: Path, ours: Curve, letter: Curve) -> None:
 
 
 def _draw_panel(panel: Axes, ours: Curve, letter: Curve, gyro: int, state: int) -> None:
-    """Draw one state of one gyro against time: the set value, both curves, and twice the sigma about ours."""
+    """Draw one state of one gyro against time: the set value, both curves, and twice the sigma about ours.
+
+    The vertical axis is limited to a share of the set value on each side, so that the early curves are cut.
+    """
     set_value = TABLE_1[state]
     half = _SHOWN[state] * abs(set_value)
     value = ours.states[:, gyro, state]

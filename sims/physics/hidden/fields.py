@@ -88,7 +88,10 @@ def read(kind: type[T], table: object, name: str) -> T:
 
 
 def refuse_unknown(table: Mapping[str, object], known: Mapping[str, object], where: str) -> None:
-    """Complain of the first key that is not known."""
+    """Raise HiddenError for the first key that is not known; it suggests a similar one, or lists all.
+
+    ``where`` is the place of the table in the file.
+    """
     for key in table:
         if key not in known:
             close = difflib.get_close_matches(key, known, 1)

@@ -39,7 +39,11 @@ _ARDUPILOT_REFERENCE_C = 35.0
 
 
 def write_px4(exported: Exported) -> Written:
-    """Return parameters of one of PX4's gyros, 0 to 3, as QGroundControl loads them."""
+    """Return the parameters of PX4's gyro number ``exported.instance`` (0 to 3), as QGroundControl loads them.
+
+    The file says so where the constants are so small that PX4 passes them over. UsageError for other numbers, or unless
+    there are three gyros along x, y and z.
+    """
     held, values = _bias_only(exported, "PX4", 4)
     passed_over = np.linalg.norm(values["offsets"]) <= _PX4_STEP_RPS
     forces, of_forces = _bias_and_scale(exported, "PX4")
@@ -54,7 +58,8 @@ def write_ardupilot(exported: Exported) -> Written:
     """Return the parameters of ArduPilot's gyro number ``exported.instance`` (0 to 2), in the format of its ground
     stations.
 
-    UsageError for other numbers, or if there are not three gyros.
+    The offsets are those at the mean temperature of the calibration, if they depend on it. UsageError for other
+    numbers, or unless there are three gyros along x, y and z.
     """
     held, values = _bias_only(exported, "ArduPilot", 3)
     if values["thermal"]:
@@ -99,7 +104,9 @@ def _bias_only(exported: Exported, form: str, most: int) -> tuple[dict[str, str]
 def _bias_and_scale(exported: Exported, form: str) -> tuple[HeldForces, dict[str, Any]]:
     """Return what an autopilot holds of the accelerometers, and the values for its template.
 
-    Values: offsets in m/s2 and scales along x, y, z, for (output - offset) scale, and misalignments in urad.
+    Values: offsets in m/s2 and scales along x, y, z, for (output - offset) scale, and misalignments in urad as text for
+    a comment. There are none without accelerometers, and none for those that are not three along x, y and z, which a
+    line then says.
     """
     forces = held_forces(exported, form, triad=True)
     if forces.correction is None:

@@ -17,7 +17,10 @@ from station.exports.written import Written, as_triad, from_template
 
 
 def write_vectornav(exported: Exported) -> Written:
-    """Return the commands that set and store register 84; the axes stay those that the gyros nominally have."""
+    """Return the commands that set and store register 84; the axes stay those that the gyros nominally have.
+
+    Accelerometers, if exported, are noted as lacking. UsageError unless there are three gyros.
+    """
     constants, dropped = as_triad(exported, "register 84 of VectorNav")
     matrix = exported.compensation.array.p @ constants.solution
     commands = _register_commands(84, matrix, -constants.bias_rps)
@@ -43,7 +46,10 @@ def _register_commands(register: int, matrix: Floats, offsets: Floats) -> list[s
 
 
 def write_stim300(exported: Exported) -> Written:
-    """Return the bias trim offset of each gyro in deg/s."""
+    """Return the bias trim offset of each gyro in deg/s; all else is noted as lacking.
+
+    UsageError unless there are three gyros.
+    """
     constants, dropped = as_triad(exported, "STIM300")
     offsets = list(zip(constants.array.names, np.degrees(constants.bias_rps), strict=True))
     forces = left_out(exported, "this form has none, --format c corrects them")

@@ -57,7 +57,11 @@ def _imu_tk_axes(forces: HeldForces) -> Floats:
 def _imu_tk(
     exported: Exported, forces: HeldForces, dropped: dict[str, str], rotation: Floats, matrix: Floats, offsets: Floats
 ) -> Written:
-    """Return the file for a sensor that is corrected by ``matrix (raw - offsets)``, along axes at ``rotation``."""
+    """Return the file for a sensor that is corrected by ``matrix (raw - offsets)``, ``matrix`` (3, 3).
+
+    ``rotation`` (3, 3) turns vectors from the body to the axes of the result. ``dropped`` are effects of gyros that the
+    file lacks, with reasons; ``forces`` says what it lacks of accelerometers.
+    """
     scales = np.diag(matrix)
     return from_template(
         "imu_tk",

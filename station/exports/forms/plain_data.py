@@ -169,9 +169,10 @@ def _forces(exported: Exported) -> dict[str, Any]:
 
 
 def _force(calibration: ForceCalibration) -> dict[str, Any]:
-    """Return the JSON object of the accelerometers of a source, with axes and covariances.
+    """Return the JSON object of the accelerometers of a source: that of a result, and axes, covariances and constants.
 
-    ``solution_m`` is null if they do not span space; without accelerometers there are no constants.
+    ``solution_m`` is null if they do not span space. Covariances of places are missing if these are unknown, and the
+    constants if there are no accelerometers.
     """
     found = force_object(calibration)
     for told, accelerometer in zip(found["accelerometers"], calibration.accelerometers, strict=True):

@@ -54,11 +54,11 @@ def write_openvins(exported: Exported) -> Written:
 
 
 def _chain(exported: Exported, form: str, called: str) -> Written:
-    """Return the file of a model that multiplies a lower triangular matrix and a rotation; UsageError without three
-    gyros.
+    """Return the file of a model that multiplies a lower triangular matrix and a rotation.
 
     ``form`` is the template, ``called`` the name of the format in messages. Held are sensitivity, bias, sensitivity to
-    gravity and noise; the result lists what is not.
+    gravity and noise, and what ``_forces`` has; the result lists what is not. UsageError unless there are three gyros
+    that form a right-handed triad.
     """
     constants, dropped = as_triad(exported, called, (G_SENSITIVITY.name,))
     of_gyros = lower_and_rotation(constants.sensitivity)
@@ -100,7 +100,10 @@ def _forces(exported: Exported, called: str) -> tuple[HeldForces, dict[str, obje
 
 
 def _noise(exported: Exported) -> tuple[float, float]:
-    """Return angle random walk in rad/s/rtHz and rate random walk in rad/s2/rtHz, rms over the gyros."""
+    """Return angle random walk in rad/s/rtHz and rate random walk in rad/s2/rtHz, rms over the gyros.
+
+    If the noise of any is unknown, the former is derived from the noise of a sample, and the latter is 0.
+    """
     found = [gyro.noise.mean for gyro in exported.gyros if gyro.noise is not None]
     if len(found) == len(exported.gyros):
         return float(np.sqrt(np.mean([n.arw**2 for n in found]))), float(np.sqrt(np.mean([n.walk**2 for n in found])))

@@ -162,7 +162,8 @@ def _vectors(exported: Exported, terms: Terms, module: Mapping[str, Any]) -> tup
     rad/s.
 
     Inputs: outputs in rad/s, specific force in m/s2 (3), temperature in degC, time step in s. The results are those of
-    the Python ``module``.
+    the Python ``module``, row after row with one state. An unknown temperature is ``REFERENCE_C``, an unknown sampling
+    rate 100 Hz.
     """
     correct = module["Correction"]().correct if terms.keeps_state else module["correct"]
     held, seen, turns = exported.compensation, exported.seen, np.outer(np.arange(8), (1.0, 1.7, 2.3))
@@ -220,7 +221,10 @@ def _comment_text(text: str) -> str:
 
 
 def _argument_names(terms: Terms) -> list[str]:
-    """Return the names of the function's arguments for a sample, in order; ``_arguments_said`` explains each."""
+    """Return the names of the function's arguments for a sample, in order; ``_argument_comments`` explains each.
+
+    All but the outputs of the gyros are there only if a term needs them.
+    """
     warm = terms.uses("warmth") or terms.uses("slope")
     asked = {"rate_rps": True, "temperature_c": warm, "accel": terms.uses("accel"), "dt_s": terms.timed}
     return [name for name, needed in asked.items() if needed]

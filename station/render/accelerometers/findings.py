@@ -70,7 +70,7 @@ def _errors_table(finding: ForceFinding) -> Table:
 
 
 def _remarks(finding: ForceFinding) -> list[str]:
-    """Return sentences on rivals, suspects, effects that were dropped and recordings that were left out."""
+    """Return sentences on what was left out, on rivals, suspects with what would show them, and effects dropped."""
     lines = [f"left out: {escape(reason)}" for reason in finding.left_out.values()]
     for effect in finding.effects:
         rivals = ", ".join(f"{BY_NAME[name].words} ({chance:.0%})" for name, chance in effect.rivals.items())

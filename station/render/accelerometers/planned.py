@@ -16,8 +16,10 @@ from station.views.figures import number
 
 
 def print_planned_forces(planned: Sequence[PlannedForces], limits: ForceLimits) -> None:
-    """Print the predicted sigmas of the accelerometers of each device beside what the bench requires, and the effects
-    that a run would detect.
+    """Print the predicted sigmas of the accelerometers of each device beside what the bench requires, and effects.
+
+    Of effects it is the smallest size that a run would detect. A device without calibrated accelerometers has no
+    tables.
     """
     for one in planned:
         shown: list[Shown] = [(_sigmas(one, limits), {}), (_effects(one), {})] if one.calibration.accelerometers else []

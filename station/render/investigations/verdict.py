@@ -8,7 +8,10 @@ from station.views.investigation import AddedView, InvestigationView, OutOfSampl
 
 
 def verdict_sentences(investigation: InvestigationView) -> list[str]:
-    """Return the result in sentences: effects with their parameters, rivals, the unexplained part."""
+    """Return the result in sentences: effects with their parameters, rivals and their sizes, the unexplained part.
+
+    The list is empty if there is none of these.
+    """
     lines = [line for added in investigation.added for line in _added(added, len(investigation.gyros))]
     lines += [_rivals(rivals) for rivals in investigation.rivals]
     lines += [_rival_size(rival) for rival in investigation.rival_sizes]

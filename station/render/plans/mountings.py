@@ -35,7 +35,7 @@ def _shown(planned: PlannedMountings, units: Units) -> Iterator[Shown]:
 def _table(
     title: str, sensor_kind: str, figures: Sequence[StateUnit], rows: Sequence[tuple[str, list[float]]]
 ) -> Table:
-    """Return predicted standard deviations, a row for each sensor."""
+    """Return the table of predicted standard deviations; ``rows`` has the name of each sensor and its four, in SI."""
     heads = [f"\n{sensor_kind}", *(f"± {figure.name}\n{figure.unit}" for figure in figures)]
     cells = [[escape(name), *(figure.text(sd) for figure, sd in zip(figures, own, strict=True))] for name, own in rows]
     return rich_table(title, heads, "lrrrr", cells)

@@ -13,7 +13,10 @@ _TURN = StateUnit("turn", "urad", 1e6, 0, 7)
 
 
 def print_mountings(mountings: Sequence[MountingFound]) -> None:
-    """Print by how much the device was turned in each recording, against how its mounting is stated."""
+    """Print by how much the device was turned in each recording, against how its mounting is stated.
+
+    The angles are about x, y and z, in µrad, each with its standard deviation.
+    """
     figure = _TURN.fitted(np.concatenate([one.sd_rad for one in mountings]).tolist())
     heads = ["\nrecording"]
     for axis in "xyz":

@@ -69,7 +69,8 @@ def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Pat
 def next_after_report(verdict: Verdict | None, recording: Path, joined: Sequence[str] = ()) -> list[str]:
     """Return sentences on what to do after a report; for a run that passed, how to export the calibration.
 
-    ``joined`` are the recordings with which it is joined.
+    ``verdict`` is None for data that no run made, which count as passed. ``joined`` are the recordings with which it is
+    joined.
     """
     if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return next_steps(verdict, None, recording)

@@ -91,7 +91,8 @@ def closing_view(
 def _source(name: str, data: ImuData, attributes: Mapping[str, Any]) -> list[Content]:
     """Return the row of a source: samples, rate, temperatures, losses and clock.
 
-    ``attributes`` are those of the source in the recording; figures that it lacks are left blank, no loss counts as 0.
+    ``attributes`` are those of the source in the recording; figures that it lacks are dashes, but no stated loss
+    counts as 0. The share of lost samples is one of all samples, lost ones included.
     """
     where = f"imu/{name}@"
     samples = len(data.t_ns)

@@ -59,7 +59,11 @@ class CorrectionView:
 def correction_view(
     recorded: Recorded, calibration: Calibration, *, traced: Traced | None, states: States, data_sha256: str
 ) -> CorrectionView:
-    """Return the corrections of all devices; ``data_sha256`` is the hash of the samples, for the code."""
+    """Return the corrections of all devices; ``data_sha256`` is the hash of the samples, for the code.
+
+    ``with_traced`` is empty unless the investigation added effects and its model has some. ``states`` has the unit of
+    the bias.
+    """
     origin = f"Recording {recorded.path.name}, SHA-256 of its samples\n{data_sha256}"
     if recorded.joined:
         origin += f"\nJoined with {', '.join(run.path.name for run in recorded.joined[1:])}"
@@ -77,7 +81,10 @@ def correction_view(
 
 
 def _axes_table(recorded: Recorded, calibration: Calibration) -> Table:
-    """Return a row for each gyro: the stated directions p, j and k of its axes."""
+    """Return a row for each gyro: the stated directions p, j and k of its axes, in the frame that the results refer to.
+
+    That is the frame of the device for a joined calibration, else that in which the device was mounted.
+    """
     rows: list[list[Content]] = []
     for gyro in calibration.gyros:
         data = recorded.recording.sources[gyro.source]
@@ -95,7 +102,7 @@ def _direction(axis: Floats) -> Markup:
 
 
 def _device(correction: Correction, title: str, states: States, origin: str) -> DeviceView:
-    """Return the correction of one device, with the effects that it cannot undo and its code in C.
+    """Return the correction of one device, with the effects that it cannot undo and its code in Python.
 
     ``origin`` and ``title`` stand at the top of the code.
     """
@@ -114,7 +121,10 @@ def _device(correction: Correction, title: str, states: States, origin: str) -> 
 
 
 def _numbers_table(correction: Correction, states: States) -> Table:
-    """Return bias and sensitivities of each gyro, or the gain about its own axis."""
+    """Return a row for each gyro: bias, and sensitivities to rates about x, y, z.
+
+    If the correction is ``axes_only``, 1 - k, the gain about its own axis, stands in place of the sensitivities.
+    """
     compensation = correction.compensation
     symbol, unit = states[_BIAS]
     gains = [_OWN_GAIN] if correction.axes_only else _SENSITIVITIES

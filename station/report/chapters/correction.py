@@ -58,7 +58,8 @@ class Correction:
 def corrections_of(recorded: Recorded, traced: Traced | None = None) -> list[Correction]:
     """Return one correction per device: of the calibration, or with states and effects of an investigation.
 
-    The recording must have a calibration.
+    Gyros that the investigation does not have are left out. The recording must have a calibration, and ``traced`` a
+    model.
     """
     assert recorded.calibration is not None
     gyros, model = list(recorded.calibration.gyros), recorded.calibration.model
@@ -81,7 +82,8 @@ def _by_device(gyros: Sequence[GyroCalibration]) -> dict[str, list[GyroCalibrati
 def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibration:
     """Return the gyro ``label`` with the states and effects of the investigation, which must hold a model.
 
-    An effect that the investigation does not have for this gyro is 0.
+    An effect that the investigation does not have for this gyro is 0. The effects have no uncertainty, and the states
+    keep that of ``gyro``.
     """
     assert traced.model is not None
     model, none = traced.model.effects, (0.0, 0.0)
@@ -120,7 +122,10 @@ def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, 
 
 
 def formula_of(effect: HeldEffect) -> Markup:
-    """Return what an effect adds to the outputs as HTML, with a factor a for each of its terms."""
+    """Return what an effect adds to the outputs as HTML, with a factor a for each of its terms, numbered if several.
+
+    Laws are typeset as mathematics; those that an investigation constructed stand as code.
+    """
     known = effect.known
     shown = "<code>{}</code>" if known.record is CONSTRUCTED else "{}"
     terms = [term.strip() for term in (known.law or str(escape(known.record.formula))).split(";")]
@@ -167,8 +172,10 @@ def variables_of_laws(effects: Sequence[HeldEffect]) -> list[str]:
 
 
 def snippet(correction: Correction, origin: str) -> str:
-    """Return Python code that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first
-    comment.
+    """Return Python code that turns outputs (N, n) into body rates (N, 3), rad/s; ``origin`` becomes its first comment.
+
+    If the correction is ``axes_only``, the result is the rate of each gyro about its axis. Temperature, acceleration
+    and time are arguments only where effects need them.
     """
     lag, added, of_the_rate, of_motion = (list(_of(correction, acts)) for acts in _ACTS)
     code = "\n".join([*lag, *added, *of_the_rate, *of_motion])

@@ -119,7 +119,7 @@ def _effects(calibration: ForceCalibration) -> ForceTable:
 
 
 def _places(calibration: ForceCalibration) -> ForceTable:
-    """Return where each accelerometer sits, with expanded uncertainties."""
+    """Return where each accelerometer sits, and last their middle, with expanded uncertainties."""
     figures = [place_figure(calibration)] * 3
     heads = ["lever arm"]
     for axis in "xyz":
@@ -150,7 +150,10 @@ def _intrinsic(calibration: ForceCalibration) -> ForceTable:
 
 
 def _budget(calibration: ForceCalibration) -> ForceTable:
-    """Return the standard uncertainties by source, rms over the accelerometers."""
+    """Return the standard uncertainties of the states by source, rms over the accelerometers, and last the combined.
+
+    The sources are those of the first accelerometer, of which there must be one.
+    """
     figures = fitted_forces(calibration)
     names = [line.name for line in calibration.accelerometers[0].budget]
     rows = []

@@ -71,7 +71,8 @@ class FrontView:
 def front_view(recorded: Recorded, formal: Formal, standing: Standing, *, adjusted: bool) -> FrontView:
     """Return what was calibrated, by whom, when and where; ``adjusted``: the device was adjusted before this run.
 
-    Imported data have no adjustment, and nothing is missed in them.
+    For imported data, which have no outcome, neither an adjustment nor what is not stated is given. ``equipment`` is
+    None if none is stated.
     """
     measured = bool(recorded.text("outcome"))  # by a station, whose laboratory fills in what no file knows
     return FrontView(
@@ -121,7 +122,10 @@ def _serial_number(formal: Formal) -> str:
 
 
 def _identities(recorded: Recorded) -> list[tuple[str, Content]]:
-    """Return what the sources say that they are, those that say the same together."""
+    """Return a line for each identity that sources report, with the names of all that report it; silent ones have none.
+
+    An identity is model, serial number and firmware, as far as the device reports them.
+    """
     names: dict[str, list[str]] = {}
     for name, of_source in recorded.source_attributes.items():
         identity = _identity(of_source.get("model"), of_source.get("serial"), of_source.get("firmware"))
@@ -178,7 +182,7 @@ def _ambient(value: float | None, unit: Unit, instrument: str | None) -> Content
 
 
 def _reference(recorded: Recorded) -> list[tuple[str, Content]]:
-    """Return the site, the table or what there was in its place, the script, and how long it took."""
+    """Return the site, the table or what there was in its place, the script, how long it took, why it ended early."""
     duration = fixed((recorded.end_ns - recorded.start_ns) * 1e-9, SECONDS, 2)
     return [
         ("Site", _site(recorded)),
@@ -213,7 +217,10 @@ def _adjustment(adjusted: bool) -> str:
 
 
 def _approval(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
-    """Return who approved and who accepted the calibration, and when the next one is due; None where not stated."""
+    """Return who approved and who accepted the calibration, and when the next one is due; None or "" if not stated.
+
+    An instant of acceptance that is not a number of seconds is shown as it is in the recording.
+    """
     accepted = recorded.utc("accepted_utc")
     when = f"{accepted:%Y-%m-%d %H:%M UTC}" if accepted else recorded.text("accepted_utc")
     return [
@@ -313,7 +320,10 @@ def _along(direction: Floats) -> str:
 
 
 def _steps_table(recorded: Recorded, driven: Sequence[tuple[Step, Rotate | None]]) -> Table:
-    """Return a row for each step that was driven: begin, duration, axis, steady rate and angle turned."""
+    """Return a row for each step that was driven: begin, duration, axis, steady rate and angle turned.
+
+    Begins count from the first step. A step without a turn has "none" and zeros.
+    """
     heads = ["step", "begins, s", "lasts, s", "axis", "steady rate, °/s", "turned by, °"]
     rows: list[list[Content]] = []
     for number, (step, turn) in enumerate(driven, start=1):
@@ -355,8 +365,9 @@ def turns(recorded: Recorded) -> int:
 
 
 def motion_picture(recorded: Recorded) -> Picture | None:
-    """Return a picture of the rates of the table axes, or of the body if there was no table; None if they are not
-    known.
+    """Return a picture of the rates of the table axes, by name, or of the body if there was no table.
+
+    None without a table if the reference are turns of known angle or nothing of the first source has times.
     """
     table = recorded.recording.table
     if table is not None:

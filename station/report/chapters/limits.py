@@ -72,6 +72,7 @@ def _table(lines: Sequence[LimitLine], *, guarded: bool) -> Table:
 
 
 def _row(line: LimitLine | None, line_of_u: LimitLine | None, *, guarded: bool) -> list[Content]:
+    """Return the cells of a quantity: its value, limit and verdict, then those of its u; one of the two may be None."""
     known = line or line_of_u
     assert known is not None
     quantity = quantity_of(known)
@@ -117,8 +118,9 @@ def _value(line: LimitLine | None) -> Content:
 
 
 def _limit(line: LimitLine | None) -> Content:
-    """Return a limit as an interval, ± or ≤; a dash without one, "estimated" for a gyro that had to be estimated but is
-    not.
+    """Return a limit as ± or ≤ its upper end, else "low to high"; a dash without one.
+
+    "estimated" for a gyro that had to be estimated but is not. An end that is infinite is "any".
     """
     if line is None:
         return _NONE

@@ -104,7 +104,10 @@ def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
 
 
 def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Sequence[int]) -> DeviceSummary:
-    """Return the summary of one device, whose gyros are ``rows``; PASS if only other devices failed."""
+    """Return the summary of the device ``name``, whose gyros are ``rows`` of the calibration.
+
+    If the run failed, it is PASS nevertheless when only limits of other devices are broken, and none of the run.
+    """
     assert recorded.calibration is not None
     gyros = recorded.calibration.gyros
     largest = [max(rows, key=lambda row: abs(float(gyros[row].states[state]))) for state in range(4)]
@@ -196,7 +199,10 @@ def moved_by(recorded: Recorded, calibration: Calibration, traced: Traced) -> fl
 def as_found_view(
     recorded: Recorded, calibration: Calibration, before: Recorded, hashes: Mapping[str, str], states: States
 ) -> AsFoundView:
-    """Return the states before an adjustment, as recorded in ``before``, beside those after it."""
+    """Return the states before an adjustment, as recorded in ``before``, beside those after it, with U for both.
+
+    Both must have the same gyros in one order. ``hashes`` has that of the earlier file as "as_found".
+    """
     assert before.calibration is not None
     begun = before.begun_utc
     heads = ["gyro", "quantity", "as found", "U as found", "as left", "U as left", "unit"]

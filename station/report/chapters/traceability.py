@@ -37,7 +37,10 @@ class TraceabilityView:
 
 
 def traceability_view(recorded: Recorded, equipment: Sequence[Equipment]) -> TraceabilityView:
-    """Return what the results are traced to: the stated uncertainty of a table, and the equipment with certificates."""
+    """Return what the results are traced to: the stated uncertainty of a table, and the equipment with certificates.
+
+    Equipment without a certificate is left out. Without a table there is no stated uncertainty.
+    """
     reference = recorded.recording.reference
     table = reference if isinstance(reference, TableReadings) else None
     certified = [instrument for instrument in equipment if instrument.certificate]
@@ -92,7 +95,7 @@ class BudgetView:
 
 
 def budget_view(recorded: Recorded, calibration: Calibration, states: States) -> BudgetView | None:
-    """Return the uncertainty budget of a calibration, None if it has none."""
+    """Return the uncertainty budget of a calibration, by gyro; None if no gyro has one."""
     gyros = calibration.gyros
     if not any(gyro.budget for gyro in gyros):
         return None

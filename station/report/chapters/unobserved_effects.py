@@ -72,9 +72,9 @@ class Unseen:
 
 
 def unseen_of(recorded: Recorded) -> Unseen | None:
-    """Return which effects a run on a table could not see, without those of its calibration.
+    """Return which effects of the catalogue a run on a table shows and which not.
 
-    None without table readings, steps, a calibration, or any turn.
+    Effects that its calibration estimated are left out. None without table readings, steps, a calibration, or any turn.
     """
     table, found = recorded.recording.table, recorded.calibration
     if table is None or not recorded.steps or found is None:
@@ -113,7 +113,8 @@ class Driven:
 def driven_step(table: TableReadings, step: Step) -> Driven:
     """Return the motion in one step, reconstructed from the readings; nothing if it took no time.
 
-    Rates and turns are rounded to 0.01 deg. A motion that the readings do not resolve counts as rest.
+    The turn is that of the fastest axis, about no other axis, by a trapezoid of the rate. Rates (per second) and turns
+    are rounded to 0.01 deg. A motion that the readings do not resolve, or that ends where it began, counts as rest.
     """
     duration_s = (step.end_ns - step.start_ns) * 1e-9
     inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
@@ -146,7 +147,10 @@ def _rounded(angle_rad: float) -> float:
 
 
 def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
-    """Return the mean temperature of the sources at ``t_s`` since the start; None if one of them has none."""
+    """Return the mean temperature of the sources (n,), degC, at ``t_s`` (n,) since the start; None if one has none.
+
+    Between and beyond the readings of a source it is interpolated, or held.
+    """
     courses = []
     for data in recorded.recording.sources.values():
         if data.temperature_c is None or not np.isfinite(data.temperature_c).any():
@@ -238,7 +242,10 @@ def unseen_view(recorded: Recorded, unseen: Unseen | None) -> UnseenView:
 
 
 def _steady_motion(recorded: Recorded, unseen: Unseen) -> SteadyMotion:
-    """Return what a steady motion cannot show: combinations of states, and effects, hidden or shown."""
+    """Return what the motion of a run cannot show: combinations of states by gyro, and effects, hidden or shown.
+
+    ``hidden`` is None if every effect is shown in each gyro.
+    """
     found = unseen.forecast
     effects = hidden(unseen)
     seen = [effect for effect in found.effects if effect.seen.all()]
