@@ -119,7 +119,7 @@ class VectorNavDevice:
         module.
 
         Stuck, clipped and spoilt gyros show in the raw rates; the compensated ones are the raw ones with the register's
-        bias and matrix applied.
+        bias and matrix applied. Magnetic field and pressure are constant.
         """
         rows = np.empty((len(at), len(_FORMATS)))
         up = self._up(at)

@@ -152,8 +152,9 @@ class XsensDevice:
     def _configure(self, data: bytes) -> None:
         """Adopt the known part of an output configuration, and answer with what is granted.
 
-        An Error if it cannot be read or no part is known. Without data nothing changes. Outputs of acceleration are
-        left out on a device without accelerometers.
+        An Error if it cannot be read or no part is known. Without data nothing changes. Rates are granted as the
+        sampling rate over a whole number; counts and status come with every message. Outputs of acceleration and angles
+        are left out on a device without accelerometers.
         """
         wanted = mtdata2.decode_outputs(data)
         known = [o for o in wanted or () if mtdata2.kind_of(o.data_id) in _COUNTS_AND_STATUS + _VALUES]

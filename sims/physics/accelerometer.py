@@ -91,8 +91,10 @@ class Accelerometers:
         return np.vstack(parts)
 
     def true_output_mps2(self, t_s: Floats) -> Floats:
-        """Return the outputs (n, m) at instants (n,), delayed and with all errors of the truth, without noise and
-        quantisation.
+        """Return the outputs (n, m) in m/s2 at instants (n,), without noise and quantisation.
+
+        They are delayed and have all other errors of the truth; those that follow the temperature only if ``warmth_c``
+        was given.
         """
         truth = self._truth
         felt_s = t_s - truth.delay_s

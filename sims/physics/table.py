@@ -37,7 +37,7 @@ class TableModel:
         faults: TableFaults | None = None,
         started_s: float = 0.0,
     ) -> None:
-        """Start at rest, each axis at its start angle.
+        """Start at rest, each axis at its start angle, where its encoder reads 0.
 
         ``clock`` gives seconds; ``started_s`` is the bench clock, which ``faults`` follow, when it is at 0.
         """

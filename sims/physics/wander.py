@@ -20,7 +20,8 @@ class Wander:
     ) -> None:
         """Start ``count`` sensors in a state as after a long time, drawn from ``random``; ``period_s`` is one sample.
 
-        ``random_walk`` is in the unit of the outputs per root second; it starts at 0.
+        ``bias_instability`` is in the unit of the outputs, ``random_walk`` in that per root second; the walk starts at
+        0.
         """
         self._size = _SHARE * bias_instability
         self._random_walk = random_walk

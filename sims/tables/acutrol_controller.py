@@ -88,7 +88,8 @@ class AcutrolController(LineController):
         """Carry out one command, or query, of a subsystem and return its answer, OK if it has no value.
 
         ``arguments`` are separated by commas, the axis first. An interlock command without an axis is for all; commands
-        of the subsystem utility do nothing. AclError if the command is wrong or refused.
+        of the subsystem utility do nothing. Those of any but limit, interlock, mode and read are demands, also if
+        queried, of the last argument. AclError if the command is wrong or refused.
         """
         given = [argument.strip() for argument in arguments.split(",")]
         if subsystem == "utility":

@@ -51,7 +51,8 @@ class AerosmithController(LineController):
     def _carry_out(self, word: str, value: float) -> str | None:
         """Carry out a command and return the answer: a value, "" without one, "?" for a refusal or an unknown command.
 
-        None for a jog, whose prompt is held back.
+        None for a jog, whose prompt is held back. PPO (deg), PVE (deg/s) and STA ask; VEL and ACL set limits; SRV is
+        the servo, on for 1 only; STO brakes, ZER zeroes the encoder, and the others move.
         """
         if word == "PPO":
             return f"{self._table.encoder_turns(self._axis) * 360.0:.4f}"

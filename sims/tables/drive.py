@@ -216,7 +216,8 @@ class Drive:
     def _update(self) -> None:
         """Apply events since the last call: a trip, the end of a fault reaction, the end of homing.
 
-        A trip ends homing. At its end the encoder is zero.
+        A tripped axis is in FAULT_REACTION until it stands, then in FAULT, and its homing is given up. Where homing
+        ends the encoder is zeroed.
         """
         motion = self._table.motion[self._axis]
         settled = motion.settled(self._table.clock())

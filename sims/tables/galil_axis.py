@@ -214,7 +214,10 @@ class GalilAxisTwin:
         self._table.motion[self._axis].stop(self._table.clock(), deceleration_rps2)
 
     def _direction(self) -> int:
-        """Return the direction of the motion that is set up: 1, -1, or 0 if there is nothing to go."""
+        """Return the direction of the motion that is set up: 1, -1, or 0 if there is nothing to go.
+
+        Homing goes to the nearest home, an index search in the direction of JG.
+        """
         if self._mode == "PA":
             way = self._settings["PA"] - self._position()
         elif self._mode == "HM":

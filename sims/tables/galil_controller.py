@@ -108,8 +108,8 @@ class GalilController(LineController):
     def _act(self, word: str, operand: str) -> str:
         """Carry out a command that is neither a setting nor a value, and return its answer, empty if it has none.
 
-        Refused if it is unknown, or if an axis refuses it: BG then starts none, other commands may have reached some
-        axes.
+        TC returns the code of the last refusal and clears it. Refused if the command is unknown, or if an axis refuses
+        it: BG then starts none, other commands may have reached some axes.
         """
         if word == "TC":
             code, self._error = self._error, 0

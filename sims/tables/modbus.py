@@ -79,7 +79,10 @@ class DriveRegisters:
         self._by_address: dict[int, Register] = {r.address: r for r in profile.registers.values()}
 
     def answer(self, pdu: bytes) -> bytes:
-        """Return the reply to a request, an exception reply if it is refused; both start with the function code."""
+        """Return the reply to a request, an exception reply if it is refused; both start with the function code.
+
+        A value that fits no register is a device failure. Any request ends the silence of the master.
+        """
         self._drive.heard()
         try:
             return pdu[:1] + self._carry_out(pdu[0], pdu[1:])

@@ -104,7 +104,7 @@ def from_template(
 
 
 def as_triad(exported: Exported, form: str, keep: Collection[str] = ()) -> tuple[Compensation, dict[str, str]]:
-    """Return the compensation for a format of three gyros, with only the effects ``keep``, and by effect why others not.
+    """Return the compensation for a format of three gyros with only the effects ``keep``, and by effect why others not.
 
     Other effects of the temperature are included in the constants by their value at the mean of the calibration.
     UsageError, with what to do, if there are not three gyros; ``form`` names the format in it.

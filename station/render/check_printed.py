@@ -23,7 +23,10 @@ def print_check(bench: str, devices: Sequence[DeviceCheck]) -> None:
 
 
 def _shown(bench: str, checks: Sequence[DeviceCheck]) -> Iterator[Shown]:
-    """Yield the table of devices, then what is wrong, which drivers are experimental, and whether all answer."""
+    """Yield the table of devices, then what is wrong, which drivers are experimental, or that every device answers.
+
+    That line is left out if anything is wrong.
+    """
     yield _devices(bench, checks), {}
     for device in checks:
         for reason in device.wrong:

@@ -46,7 +46,7 @@ def _rest(noises: Sequence[SensorNoise]) -> str:
 
 
 def noise_table(title: str, noises: Sequence[SensorNoise]) -> Table:
-    """Return the table of N, B and K of sensors with a common unit."""
+    """Return the table of N, B and K of sensors with a common unit, a row for each sensor, with intervals of 95 %."""
     units = [noise_unit(noises[0].unit, term) for term in range(len(TERMS))]
     heads = ["sensor", *(f"{name}, {unit}" for name, (unit, _) in zip(TERMS, units, strict=True))]
     rows = []

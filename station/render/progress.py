@@ -69,9 +69,9 @@ class RunProgress(Bar):
         self._shown_share = -1.0
 
     def show(self, look: Callable[[], Snapshot]) -> None:
-        """Show the progress of a run, at most a few times per second, nothing if quiet.
+        """Show the progress of a run, at most ten times a second, without a terminal a line for each tenth of it.
 
-        ``look`` is called only then.
+        ``look`` gives the state of the run; it is called only if something may be shown, never when quiet.
         """
         now = time.monotonic()
         if self._quiet or now - self._shown_at < _REFRESH_S:

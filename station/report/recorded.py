@@ -245,8 +245,9 @@ def laid_out(path: Path, message: str) -> Iterator[None]:
 
 
 def _rest_noise(group: "Group") -> RestNoise | None:
-    """Return the noise at rest of a calibration, None if it is not stored; ValueError if its arrays do not fit the
-    gyros.
+    """Return the noise at rest of a calibration, None if it is not stored.
+
+    Intervals that older files lack are None. ValueError if other arrays are missing, or any does not fit the gyros.
     """
     if "allan_tau_s" not in group:
         return None
@@ -277,7 +278,10 @@ def _rest_noise(group: "Group") -> RestNoise | None:
 
 
 def _course(estimate: "Group", innovation: "Group") -> Course:
-    """Return the course of a live filter; ValueError if its arrays do not fit each other."""
+    """Return the course of a live filter from its groups; KeyError for a missing array.
+
+    ValueError if states, sigmas and instants, or NIS and degrees of freedom, do not fit each other.
+    """
     states, sd, nis, dof = (
         np.asarray(group[name][()], dtype=np.float64)
         for group, name in ((estimate, "states"), (estimate, "sd"), (innovation, "nis"), (innovation, "dof"))

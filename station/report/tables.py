@@ -52,9 +52,10 @@ class Table:
 def table_of(
     heads: Sequence[Content], align: str, rows: Iterable[Sequence[Content]], *, length: int | None = None
 ) -> Table:
-    """Return a table of rows; ``align`` has "l" or "r" for each column.
+    """Return a table of rows, the first cell of which is the name of the row; ``align`` has "l" or "r" for each column.
 
-    ``length`` is the number of rows that decides whether the table is long, by default that of its rows.
+    It is long with more than 16 rows, and wide with more than ten columns. ``length`` is the number of rows that counts
+    for the former, by default that of its rows.
     """
     laid_out = tuple(_row(cells, align) for cells in rows)
     return Table(

@@ -109,7 +109,10 @@ def run_study(seeds: int, **where: Any) -> BaselineStudy:
 
 
 def one_seed(seed: int) -> list[Timed]:
-    """Simulate the three scripts once, and return what each method finds on its own of them and how long it takes."""
+    """Simulate the three scripts once, and return what each method finds on its own of them and how long it takes.
+
+    Results are in the order of ``METHODS``.
+    """
     import filterpy.kalman  # noqa: F401  its 0.8 s of import are no part of the time of a filter
 
     recordings = {script.name: our_recording(MEMS_NOISE, seed, script) for script in _SCRIPTS}

@@ -56,8 +56,9 @@ def relative_percent(errors: Floats) -> Floats:
 
 
 def inconsistencies(bias_sd_dps: float) -> list[str]:
-    """Return sentences on where the paper's own numbers disagree; ``bias_sd_dps`` is what its noise leaves of a
-    bias.
+    """Return sentences on where the paper's own numbers disagree.
+
+    ``bias_sd_dps`` is the standard deviation in deg/s that its noise leaves of a bias.
     """
     gain = (TABLE_4 - TABLE_3).mean()
     claimed = _PRINTED["claimed"]

@@ -53,8 +53,9 @@ class GyroChain:
         return bool(self._low_passes or self._turns)
 
     def output(self, t_s: Floats, *, keep: bool) -> Floats:
-        """Return outputs (n, m) without noise at successive instants; only with ``keep`` do they change the chain's
-        state.
+        """Return outputs (n, m) in rad/s at successive instants (n,), without noise and before the converter.
+
+        Low passes and hysteresis go on from the last call with ``keep``; other calls leave their state as it is.
         """
         low_passes = self._low_passes if keep else [copy(p) for p in self._low_passes]
         turns = self._turns if keep else [copy(t) for t in self._turns]

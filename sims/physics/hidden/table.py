@@ -178,7 +178,8 @@ class TableFaults:
         """Return a function that gives the true angles (n,) of an axis at instants (n,), by those its encoder
         indicates.
 
-        ``angles`` gives the latter; ``started_s`` is the bench clock at the instant 0.
+        ``angles`` gives the latter; ``started_s`` is the bench clock at the instant 0. Faulty readings that the servo
+        follows move the axis the other way.
         """
         effects = [e for e in self.effects if isinstance(e, TableReading) and e.axis == axis and e.followed]
         shifts = [effect.shift(angles, started_s) for effect in effects]

@@ -68,7 +68,8 @@ class LowPass:
     def __call__(self, x: Floats) -> Floats:
         """Return successive inputs (n, m) after the low pass, exact for inputs that are linear between samples.
 
-        The very first input counts as having lasted; a lag of 0 leaves inputs as they are.
+        They go on from the last call; the very first input counts as having lasted. A lag of 0 leaves inputs as they
+        are, and without rows nothing changes.
         """
         from scipy.signal import lfilter  # slow to import
 
@@ -94,7 +95,10 @@ class LastTurn:
     sign: Floats
 
     def __call__(self, u: Floats) -> Floats:
-        """Return the signs (n, m) of the last rotation above the threshold, up to each of successive rates (n, m)."""
+        """Return the signs (n, m) of the last rotation above the threshold, up to each of successive rates (n, m).
+
+        Before any rotation in these rates it is the sign of the last call, which is remembered.
+        """
         if not len(u):
             return u
         turning = np.abs(u) > self.threshold_rps

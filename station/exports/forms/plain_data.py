@@ -69,7 +69,7 @@ def write_csv(exported: Exported) -> Written:
     """Return one line per gyro: axes, states, sigmas, row of the sensitivity matrix, effects; headings have SI units.
 
     Lines of accelerometers follow: their names stand in the column "accelerometer" in place of "gyro".
-    Noted as lacking are covariances and uncertainty budget.
+    Cells of columns that a line does not have are empty. Noted as lacking are covariances and uncertainty budget.
     """
     lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     for force in exported.forces:

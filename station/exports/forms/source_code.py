@@ -46,7 +46,8 @@ def write_c_float(exported: Exported) -> Written:
 def _header(exported: Exported, real: str, prefix: str) -> Written:
     """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out.
 
-    It corrects accelerometers, too, if they are exported.
+    It corrects accelerometers, too, if they are exported, and has inputs and results to test it with. CompensationError
+    for gyros that do not span space.
     """
     terms = terms_of(exported.compensation)
     forces = _held_forces(exported)
@@ -178,7 +179,7 @@ def _vectors(exported: Exported, terms: Terms, module: Mapping[str, Any]) -> tup
 def write_python(exported: Exported) -> Written:
     """Return the Python module, with what it does not correct; CompensationError for gyros that do not span space.
 
-    It has a class instead of a function if effects keep a state.
+    It has a class instead of a function if effects keep a state, and a further function if accelerometers are exported.
     """
     terms = terms_of(exported.compensation)
     forces = _held_forces(exported)

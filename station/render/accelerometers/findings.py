@@ -30,8 +30,9 @@ def print_force_findings(findings: Sequence[ForceFinding]) -> None:
 
 
 def _verdict(finding: ForceFinding) -> str:
-    """Return in one sentence whether effects were added or are suspected, there is nothing to add, or it was not
-    examined.
+    """Return, as markup, whether effects were added or are suspected, there is nothing to add, or it was not examined.
+
+    Nothing to add is said to be in-sample without a verification run.
     """
     who = f"accelerometers of {escape(finding.source)}"
     if not finding.names:
@@ -46,7 +47,10 @@ def _verdict(finding: ForceFinding) -> str:
 
 
 def _effects_table(finding: ForceFinding) -> Table:
-    """Return the parameters of the effects that were added, with standard deviations."""
+    """Return a row for each parameter of the effects that were added, and how probable the effect is.
+
+    It has the value with its standard deviation in each accelerometer, and their unit.
+    """
     rows = []
     for effect in finding.effects:
         for row in rows_of_effect(effect.effect, effect.values, effect.sd):
@@ -57,7 +61,10 @@ def _effects_table(finding: ForceFinding) -> Table:
 
 
 def _errors_table(finding: ForceFinding) -> Table:
-    """Return a row for each accelerometer: rms error before and after in ug, and their ratio."""
+    """Return a row for each accelerometer: rms error before and after in ug, and their ratio.
+
+    The title says whether the errors are those of verification runs or of the fitted ones.
+    """
     where = (
         "the verification runs" if finding.verified else "the fitted runs: give --verify for runs that were not used"
     )

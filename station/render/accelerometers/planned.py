@@ -28,8 +28,10 @@ def print_planned_forces(planned: Sequence[PlannedForces], limits: ForceLimits) 
 
 
 def _sigmas(planned: PlannedForces, limits: ForceLimits) -> Table:
-    """Return the predicted sigmas of states and places by accelerometer, and those of their middle, the lever arm, if
-    that is limited.
+    """Return the predicted sigmas of states and places by accelerometer.
+
+    Further rows have those of their middle, the lever arm, if that is limited, and what the bench requires, if
+    anything, with "-" where it requires nothing.
     """
     figures, place = fitted_forces(planned.calibration), place_figure(planned.calibration)
     heads = ["\nsensor", *(f"± {f.name}\n{f.unit}" for f in figures), *(f"± {axis}\n{PLACE.unit}" for axis in "xyz")]

@@ -25,7 +25,8 @@ from station.views.figures import StateUnit, number
 def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
     """Print the accelerometers of each source, and which are not calibrated.
 
-    With ``details`` also the sources of uncertainty and what does not depend on the mounting.
+    Places, effects, delay and gravity are printed if they are known. With ``details`` also the sources of uncertainty
+    and what does not depend on the mounting.
     """
     for one in forces:
         shown: list[Shown] = []
@@ -47,7 +48,7 @@ def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
 
 
 def _states_table(calibration: ForceCalibration) -> Table:
-    """Return the states of the accelerometers with their standard deviations."""
+    """Return a row for each accelerometer: its states with their standard deviations."""
     figures = fitted_forces(calibration)
     heads = ["\nsensor"]
     for figure in figures:
@@ -64,7 +65,7 @@ def _states_table(calibration: ForceCalibration) -> Table:
 
 
 def _places_table(calibration: ForceCalibration) -> Table:
-    """Return where each accelerometer sits, and their middle."""
+    """Return where each accelerometer sits, and last their middle, with standard deviations."""
     figure = place_figure(calibration)
     rows = [_place_row(a.name, a.place_m.tolist(), a.place_sd_m.tolist(), figure) for a in calibration.accelerometers]
     rows.append(_place_row("middle", calibration.arm_m.tolist(), calibration.arm_sd_m.tolist(), figure))
@@ -75,7 +76,7 @@ def _places_table(calibration: ForceCalibration) -> Table:
 
 
 def _effects_table(calibration: ForceCalibration) -> Table:
-    """Return the parameters of the effects of the model, with their standard deviations."""
+    """Return a row for each parameter of the effects of the model: its value in each accelerometer, with its sd."""
     heads = ["\neffect", "\nunit"]
     for accelerometer in calibration.accelerometers:
         heads += [f"{escape(accelerometer.name)}\nvalue", "±"]
@@ -109,7 +110,7 @@ def _lines(calibration: ForceCalibration) -> list[str]:
 
 
 def _intrinsic_table(calibration: ForceCalibration) -> Table:
-    """Return sensitivities, offsets and angles, which do not depend on how the device is mounted."""
+    """Return sensitivities, offsets and angles with their standard deviations; the mounting does not change them."""
     found = calibration.intrinsic
     rows = []
     for place, name in enumerate(found.names):
@@ -124,7 +125,10 @@ def _intrinsic_table(calibration: ForceCalibration) -> Table:
 
 
 def _budget_table(calibration: ForceCalibration) -> Table:
-    """Return the standard uncertainties by source, rms over the accelerometers."""
+    """Return the standard uncertainties of the states by source, rms over the accelerometers, and last the combined.
+
+    The sources are those of the first accelerometer; where another lacks one it counts as 0.
+    """
     figures = fitted_forces(calibration)
     names = [line.name for line in calibration.accelerometers[0].budget]
     rows = []

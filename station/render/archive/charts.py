@@ -39,10 +39,10 @@ class _Place:
 def history_shown(
     folder: str, recordings: Sequence[HistoryRow], count: int, serial: str | None, charts: Sequence[ChartView]
 ) -> Iterator[Shown]:
-    """Yield how many recordings of the ``count`` in the folder are listed, which are unreadable, and the charts of a
-    device.
+    """Yield how many recordings of the ``count`` in the folder are listed, which are unreadable, and a device's charts.
 
-    ``serial`` is that of the device, None if no charts were asked for.
+    ``serial`` is that of the device, None if no charts were asked for. A line says why there are none, or below them
+    what their columns mean.
     """
     more = "; --last N shows more, --csv and --json show all" if count > len(recordings) else ""
     yield line(escape(f"{len(recordings)} of {count} recordings in {folder}, newest first{more}"))
@@ -84,7 +84,10 @@ def _table(view: ChartView, figure: StateUnit, places: Sequence[_Place]) -> Tabl
 
 
 def _row(view: ChartView, place: _Place) -> list[str]:
-    """Return the name of a gyro, and of one state: mean, limits, last value, moving average, its limit, and zones."""
+    """Return the name of a gyro, and of one state: mean, limits, last value, moving average, its limit, and zones.
+
+    Values are in the unit of ``place.figure``; the zones are a letter for each of the latest 40 runs.
+    """
     chart = view.chart
     at = place.gyro, place.state
     low, high = chart.limits

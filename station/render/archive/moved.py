@@ -11,7 +11,10 @@ _MOST_IN_LIST = 2
 
 
 def moved_since(moves: Sequence[Move]) -> str:
-    """Return, as markup, which states moved since the last comparable run, the first few; "" if none did."""
+    """Return, as markup, which states moved since the last comparable run; "" if none did.
+
+    The first four are named, with their shifts in combined sigmas, and the others counted.
+    """
     if not moves:
         return ""
     words = [move.words for move in moves[:_MOST_AFTER_RUN]]

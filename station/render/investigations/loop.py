@@ -26,7 +26,10 @@ def print_loop(loop: "Loop") -> None:
 
 
 def _shown(loop: "Loop") -> Iterator[Shown]:
-    """Yield the runs of a loop, its investigations, why it ended, the table time used and the folder of the results."""
+    """Yield the runs of a loop, its investigations, why it ended, the table time used and the folder of the results.
+
+    Investigations before the last are a line each; the last is shown in full.
+    """
     yield _runs(loop.runs), {}
     for number, turn in enumerate(loop.rounds[:-1], 1):
         yield line(escape(_round(number, turn)))
@@ -69,7 +72,10 @@ def _view(turn: "Round") -> InvestigationView:
 
 
 def loop_object(loop: "Loop") -> dict[str, Any]:
-    """Return the result of a loop for --json: the last investigation, and the rounds and runs that led to it."""
+    """Return the result of a loop for --json: the last investigation, and the rounds and runs that led to it.
+
+    Further keys are the folder, the minutes on the table that were used and allowed, and why it ended.
+    """
     last = loop.rounds[-1]
     fitted = [str(path) for path in loop.recordings(judging=False)]
     judging = [str(path) for path in loop.recordings(judging=True)]

@@ -34,7 +34,10 @@ def _added(added: AddedView, gyro_count: int) -> Iterator[str]:
 
 
 def _name(added: AddedView) -> str:
-    """Return the name of an effect; that of a constructed law has its time constant with an uncertainty."""
+    """Return the readable name of an effect; that of a constructed law says so, and that no catalogue has it.
+
+    A lag in a constructed law has its uncertainty, if it was estimated.
+    """
     if not added.constructed:
         return readable(added.effect)
     name = added.effect

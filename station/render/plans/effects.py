@@ -51,7 +51,10 @@ def _sizes_table(sizes: Sequence[DetectableSizes]) -> Table:
 
 
 def _smallest(sizes: DetectableSizes) -> str:
-    """Return the smallest detectable size, or a span of them, with how many parameters are detectable if not all."""
+    """Return as markup the smallest detectable size, or a span of them; how many are detectable is added if not all.
+
+    "not detectable", or "no influence" for an effect that does nothing in this script, if none is.
+    """
     if sizes.least is None or sizes.most is None:
         return "[red]not detectable[/]" if sizes.has_influence else "[dim]no influence[/]"
     least = three_digits(sizes.least)
@@ -82,7 +85,10 @@ def _shift(shift: Shift) -> str:
 
 
 def _pairs_table(pairs: Sequence[Pair]) -> Table:
-    """Return a row for each pair of effects that the script cannot tell apart, with parameter and correlation."""
+    """Return a row for each pair of effects that the script cannot tell apart, with parameter and correlation.
+
+    That is never shown as 1, but as 0.9999 at the most.
+    """
     rows = [
         [
             escape(readable(pair.first)),

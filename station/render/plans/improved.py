@@ -75,7 +75,8 @@ def _table(
 ) -> Table:
     """Return the table of required and reached sigmas (n, c) of n sensors (device, name), in the units of ``figures``.
 
-    ``kind`` heads the column of names, which has the device only if there are several.
+    ``kind`` heads the column of names, which has the device only if there are several. A required sigma that is
+    infinite is a dash.
     """
     heads = [kind]
     for figure in figures:

@@ -93,7 +93,10 @@ def _required(figure: StateUnit, sd: float, written: str) -> str:
 
 
 def unobservable_lines(forecast: Forecast) -> Iterator[Shown]:
-    """Yield the combinations of states that no sample of the script would show, by gyro."""
+    """Yield the combinations of states that no sample of the script would show, by gyro, and what that means.
+
+    Nothing if every state of every gyro is shown.
+    """
     gyros = [gyro for gyro in forecast.gyros if len(gyro.unseen)]
     for gyro in gyros:
         combinations = "; ".join(map(combination, gyro.unseen))

@@ -49,7 +49,10 @@ def _shown(folder: str, rows: Sequence[OverviewRow], reasons: Mapping[str, Seque
 
 
 def _table(folder: str, rows: Sequence[OverviewRow]) -> Table:
-    """Return a row for each recording: device, script, outcome, largest sigma relative to its prior, mean NIS."""
+    """Return a row for each recording: device, script, outcome, largest sigma relative to its prior, mean NIS.
+
+    The latter two are empty where they are not known.
+    """
     overview = rich_table(f"Recordings in {escape(folder)}", _HEADS, "llllrr")
     for row in rows:
         overview.add_row(

@@ -149,7 +149,8 @@ def _software(
 ) -> list[tuple[str, Content]]:
     """Return versions, files and hashes that identify how the document was made; None where a fact is missing.
 
-    ``hashes`` and ``made_with`` as for ``closing_view``; the seed is left out unless the run was ``simulated``.
+    ``hashes`` and ``made_with`` as for ``closing_view``; the seed is left out unless the run was ``simulated``, and an
+    investigation unless it is in a file of its own.
     """
     version = recorded.text("software_version")
     apart = traced is not None and "investigation" in hashes
@@ -171,7 +172,10 @@ def _hash(text: str) -> Content:
 
 
 def _signatures(recorded: Recorded, formal: Formal) -> Table:
-    """Return the rows to be signed by the operator and by who approves; blanks to fill in where a name is missing."""
+    """Return the rows to be signed by the operator and by who approves; blanks to fill in where a name is missing.
+
+    The only date is the stated one of issue, beside the approval.
+    """
     operator = recorded.text("operator") or _BLANK
     approved_by = formal.certificate_approved_by or _BLANK
     rows: list[list[Content]] = [

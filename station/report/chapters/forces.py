@@ -52,7 +52,9 @@ def chapters(recorded: Recorded) -> list[ForceChapter]:
 def _chapter(calibration: ForceCalibration) -> ForceChapter:
     """Return the chapter on the accelerometers of one source: tables, delay, gravity, and which are not calibrated.
 
-    Without calibrated accelerometers there are no tables; without places of theirs none of these.
+    The tables are states, effects of the model, places, intrinsic parameters and budget; effects and places only if
+    there are any. Without calibrated accelerometers there is none but that of effects. Delay and gravity are lines
+    only if they are known.
     """
     tables = []
     if calibration.accelerometers:
@@ -90,7 +92,7 @@ def _headed(symbol: Markup, figure: StateUnit) -> Markup:
 
 
 def _states(calibration: ForceCalibration) -> ForceTable:
-    """Return the states with expanded uncertainties."""
+    """Return the table of the states, a row for each accelerometer, with expanded uncertainties."""
     figures = fitted_forces(calibration)
     heads = ["accelerometer"]
     for symbol, figure in zip(SYMBOLS, figures, strict=True):
@@ -101,7 +103,7 @@ def _states(calibration: ForceCalibration) -> ForceTable:
 
 
 def _effects(calibration: ForceCalibration) -> ForceTable:
-    """Return the effects of the model, with expanded uncertainties."""
+    """Return a row for each parameter of the effects of the model: its value in each accelerometer, and U."""
     heads = ["effect", "unit"]
     for accelerometer in calibration.accelerometers:
         heads += [accelerometer.name, "U"]

@@ -102,7 +102,10 @@ def _identity(model: str | None, serial: str | None, firmware: str | None) -> st
 
 
 def _device(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
-    """Return customer, device under test, maker, serial number and condition, as far as they are stated."""
+    """Return customer, device under test, maker, serial number and condition, "" for those that are not stated.
+
+    Device and serial number say "not stated" instead. The device is named by its links, else as in the recording.
+    """
     names = ", ".join(name for name in links_of(recorded) if name != "table")
     received = str(formal.item_received) if formal.item_received else ""
     return [
@@ -157,7 +160,8 @@ def _origin(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
 def _when_and_where(recorded: Recorded, formal: Formal, standing: Standing) -> list[tuple[str, Content]]:
     """Return dates, place, ambient conditions and procedure; None where a line is to be left out.
 
-    A date of calibration is given only if it is not that of the measurement.
+    A date of calibration is given only if it is not that of the measurement. A place, and a date of measurement, that
+    is not known is said to be so.
     """
     begun = recorded.begun_utc
     undated = "none: the run was in simulated time" if standing.simulated else _NOT_STATED
@@ -259,7 +263,10 @@ class MotionView:
 
 
 def motion_view(recorded: Recorded) -> MotionView:
-    """Return the motion of a run: turns, a picture and the steps, each as far as it is known."""
+    """Return the motion of a run: the number of turns of known angle, a picture of the rates, and the steps.
+
+    Picture and steps are None if they are not known; steps are known on a table only.
+    """
     driven = driven_steps(recorded)
     return MotionView(
         turns=turns(recorded),
@@ -300,7 +307,10 @@ def _begun(run: JoinedRun) -> str:
 
 
 def _mountings_table(runs: Sequence[JoinedRun]) -> Table:
-    """Return a row for each run: the axes of the table along which x, y and z of the device lay, and the error."""
+    """Return a row for each run: the axes of the table along which x, y and z of the device lay, and the error.
+
+    That is the mounting error about each axis, in µrad with its U.
+    """
     heads = ["recording", "x, y, z along"]
     for axis in "xyz":
         heads += [f"error about {axis}, µrad", "U"]

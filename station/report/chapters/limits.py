@@ -95,7 +95,8 @@ def limits_by_gyro(lines: Sequence[LimitLine]) -> Mapping[str, list[tuple[LimitL
 def quantity_of(line: LimitLine) -> Quantity:
     """Return name, unit and place in the recording of a limit's quantity.
 
-    It is a state, its sigma, a state of an accelerometer, lost samples, or the mean NIS.
+    It is a state, its sigma, a state of an accelerometer, lost samples (in %), or the mean NIS. Those of accelerometers
+    and lost samples have no place.
     """
     if line.state is not None and line.unit is not None:
         unit = Unit(typographic(line.unit.unit), line.unit.factor)
@@ -135,7 +136,10 @@ def _limit(line: LimitLine | None) -> Content:
 
 
 def written(line: LimitLine) -> Markup:
-    """Return the upper bound of a limit as in the bench file; without its unit if that is the column's."""
+    """Return the upper bound of a limit as in the bench file; without its unit if that is the column's.
+
+    What is no number with a unit there is given in the unit of the column.
+    """
     unit = quantity_of(line).unit
     parsed = split_quantity(line.written)
     if parsed is None:
@@ -147,7 +151,8 @@ def written(line: LimitLine) -> Markup:
 def _accepted(line: LimitLine | None) -> Content:
     """Return up to where a value is accepted: a guard band may end that before the limit.
 
-    "nothing" if the guard band leaves nothing; a dash without a limit or a value.
+    "nothing" if the guard band leaves nothing, "the limit" if there is no guard band; a dash without a limit or a
+    value.
     """
     if line is None or line.note:
         return _NONE

@@ -94,7 +94,7 @@ def results_view(
 
 
 def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
-    """Return a summary of each device, in the order of the gyros; none without a calibration."""
+    """Return a summary of each source with gyros, in the order of these; none without a calibration."""
     if recorded.calibration is None:
         return []
     rows: dict[str, list[int]] = {}
@@ -187,7 +187,7 @@ def _effects_table(recorded: Recorded, calibration: Calibration) -> Table | None
 
 
 def moved_by(recorded: Recorded, calibration: Calibration, traced: Traced) -> float:
-    """Return the largest shift of a state by an investigation, in sigmas of the calibration."""
+    """Return the largest shift of a state by an investigation, in sigmas of the calibration; 0 without common gyros."""
     moved = [
         np.abs(traced.states[traced.names.index(label)] - gyro.states) / gyro.sd
         for gyro, label in zip(calibration.gyros, recorded.labels, strict=True)
