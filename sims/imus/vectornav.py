@@ -79,8 +79,9 @@ class VectorNavDevice:
         self._wake_up()
 
     async def serve(self) -> None:
-        """Send outputs until cancelled, in bursts of about 10 ms, as an operating system hands them over; none while
-        paused.
+        """Send outputs until cancelled, in bursts of about 10 ms, as an operating system hands them over.
+
+        While paused it sends none, and goes on measuring.
         """
         loop = asyncio.get_running_loop()
         start = loop.time()

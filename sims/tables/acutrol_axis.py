@@ -17,7 +17,10 @@ class AcutrolAxisTwin:
     """One axis; values are in deg, deg/s, deg/s2."""
 
     def __init__(self, table: TableModel, axis: str, wrapped: bool) -> None:
-        """Start in mode off, with the interlock open; ``wrapped`` angles are reported within 0 to 360 deg."""
+        """Start in mode off, with the interlock open and the rated limits in every mode.
+
+        ``wrapped`` angles are reported within 0 to 360 deg.
+        """
         self._table, self._axis, self._wrapped = table, axis, wrapped
         data = table.data[axis]
         self.most = {"rate": math.degrees(data.max_rate_rps), "acceleration": math.degrees(data.max_acceleration_rps2)}

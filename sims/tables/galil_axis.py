@@ -16,7 +16,7 @@ class GalilAxisTwin:
     """One axis. Values are in counts, counts/s and counts/s2, as in the language."""
 
     def __init__(self, table: TableModel, axis: str, velocity_window_s: float) -> None:
-        """Start with the motor off, at rest; TV reports a mean over ``velocity_window_s``."""
+        """Start with the motor off and settings as delivered; TV reports a mean over ``velocity_window_s``."""
         self._table, self._axis, self._window_s = table, axis, velocity_window_s
         self._per_turn = table.data[axis].counts_per_turn
         self._offset = 0

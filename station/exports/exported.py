@@ -159,7 +159,11 @@ def _read(path: Path) -> Recording:
 
 
 def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]) -> dict[str, str]:
-    """Return the identity of the gyros as texts of one line each, by name; empty ones are left out."""
+    """Return the identity of the gyros as texts of one line each, by name; empty ones are left out.
+
+    It names device, model, operator, station, script, time, outcome, and the file ``path`` with its hash. The device is
+    that of the recording if no gyro names one.
+    """
     attributes = recording.attributes
     with h5py.File(path, "r") as file:
         kinds = [_kind(file[f"imu/{gyro.source}"].attrs) for gyro in gyros]

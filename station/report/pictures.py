@@ -75,10 +75,7 @@ class Picture:
 
 
 def rates_picture(names: Sequence[str], t_s: Floats, rate_rps: Floats, quantity: str) -> Picture:
-    """Return the picture of rates (N, axes) of ``names`` over time, one panel each in °/s.
-
-    ``t_s`` (N,) counts from the begin of the script; ``quantity`` says what the rates are. Long curves are thinned.
-    """
+    """Return a picture of rates (N, axes) over ``t_s`` (N,), a panel for each name; ``quantity`` says what they are."""
     with _drawn((WIDTH_IN, 0.36 * len(names) + 0.42), len(names), 1, between=0.12) as (figure, panels):
         for column, (name, panel) in enumerate(zip(names, panels[:, 0], strict=True)):
             at, shown = _thinned(t_s, rate_rps[:, column] * DEG_PER_S.factor)
@@ -152,8 +149,7 @@ def _last_estimates(course: Course, channel: int, states: Sequence[tuple[Markup,
 def nis_picture(recorded: Recorded) -> Picture | None:
     """Return a picture of the NIS per degree of freedom of each source, in some 60 means; None if none is stored.
 
-    Sources without NIS are left out. A band shows where 95 % of the means with the fewest degrees of freedom would lie
-    if all sigmas were right.
+    Sources without NIS are left out. A band shows where 95 % of the means would lie if all sigmas were right.
     """
     courses = [(name, course) for name, course in recorded.courses.items() if len(course.nis)]
     if not courses:
@@ -239,10 +235,7 @@ def _draw_allan(
     band: tuple[Floats, Floats] | None,
     factor: float,
 ) -> None:
-    """Draw the Allan deviation (t,) of a sensor and, if known, the ``band`` (t,), (t,) of its interval.
-
-    ``number`` selects colour and style. Deviation and band are multiplied by ``factor``, from SI to the unit shown.
-    """
+    """Draw an Allan deviation (t,) and the ends (t,) of its ``band``, times ``factor``, in style ``number``."""
     colour, style = _STYLES[number % len(_STYLES)]
     if band is not None:
         panel.fill_between(tau_s, band[0] * factor, band[1] * factor, color=colour, alpha=0.15, lw=0)
@@ -256,9 +249,7 @@ def _finish_allan(panel: "Axes", sensors: int) -> None:
 
 
 def residual_picture(view: ResidualView, spectra: Spectra | None) -> Picture:
-    """Return a picture of one gyro's residual before and after: over time, against the rate, and its spectrum if
-    known.
-    """
+    """Return a picture of a gyro's residual before and after: over time, over the rate, and its spectrum if known."""
     columns = 3 if spectra is not None else 2
     with _drawn((WIDTH_IN, 1.75), 1, columns, bottom=0.55, widths=[1.9, 1, 1][:columns]) as (figure, panels):
         _draw(panels[0], view, spectra)
@@ -311,11 +302,9 @@ def draw_investigation(path: Path, investigation: Investigation) -> None:
 
 
 def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
-    """Draw the residual of one gyro, before and after, into a row of panels, with labels for the legend.
+    """Draw a gyro's residual before and after into panels: over time, rate, with ``warm`` temperature, and as spectra.
 
-    The panels are over time (means of stretches), against the rate, with ``warm`` against the temperature, and with
-    ``spectra`` the spectrum. The one over temperature stays empty for a gyro without temperatures. Grey bands are two
-    sigma of the noise.
+    Over time it is means of stretches. A gyro without temperatures leaves that panel empty. Bands are ± 2 sigma.
     """
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))
@@ -345,10 +334,7 @@ def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *,
 
 
 def _draw_spectra(panel: "Axes", spectra: Spectra) -> None:
-    """Draw the square roots of one-sided densities before, after and of the noise model, in °/h/√Hz over Hz.
-
-    Only the noise model appears in the legend.
-    """
+    """Draw the roots of one-sided densities before, after and of the noise model, in °/h/√Hz; a legend has the last."""
     for colour, style, density, label in (
         (ORANGE, "-", spectra.before, "_before"),
         (BLUE, "-", spectra.after, "_after"),
@@ -386,8 +372,7 @@ def _drawn(
     """Give a figure of ``size`` (inches) with panels (rows, columns), in the style of the report.
 
     Margins and the space ``between`` panels are in inches: letting matplotlib find them doubles the time. ``widths``
-    are the relative widths of the columns. Panels of one column share their x axis. Settings of matplotlib are restored
-    at the end of the context.
+    are the relative widths of the columns. Panels of one column share their x axis.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -413,10 +398,7 @@ def _drawn(
 
 
 def _done(figure: "Figure", words: PictureWords) -> Picture:
-    """Return the figure as a compact SVG in a data URI, with its words and its size in inches.
-
-    Places on the paper are cut to a tenth of a point. No date or program is named: the same data give the same bytes.
-    """
+    """Return the figure as SVG in a data URI, without date and cut to 0.1 pt, with its words and its size in inches."""
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = out.getvalue()

@@ -87,7 +87,10 @@ def _percent(value: float) -> str:
 
 
 def _errors_by_gyro(study: PaperStudy) -> Table:
-    """Return the table of absolute errors of each state and gyro: as printed, to the letter, of this station."""
+    """Return the table of absolute errors of each state and gyro: as printed, to the letter, of this station.
+
+    Those to the letter are without Earth rate and, as a range over all headings, with Earth rate in the data.
+    """
     heads = [
         "state",
         "gyro",

@@ -58,7 +58,8 @@ def relative_percent(errors: Floats) -> Floats:
 def inconsistencies(bias_sd_dps: float) -> list[str]:
     """Return sentences on where the paper's own numbers disagree.
 
-    ``bias_sd_dps`` is the standard deviation in deg/s that its noise leaves of a bias.
+    ``bias_sd_dps`` is the standard deviation in deg/s that its noise leaves of a bias. A last sentence is there only if
+    the printed bias errors add up to zero with suitable signs.
     """
     gain = (TABLE_4 - TABLE_3).mean()
     claimed = _PRINTED["claimed"]

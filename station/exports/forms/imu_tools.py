@@ -78,6 +78,7 @@ def _imu_tk(
 def write_imucal(exported: Exported) -> Written:
     """Return the JSON of a TurntableCalibrationInfo of imucal, for raw samples in m/s^2 and deg/s.
 
+    It holds the constants of both and the sensitivity of the gyros to gravity; a comment names what it lacks.
     UsageError without three gyros and three accelerometers.
     """
     constants, dropped = as_triad(exported, "imucal", (G_SENSITIVITY.name,))

@@ -70,6 +70,7 @@ def write_csv(exported: Exported) -> Written:
 
     Lines of accelerometers follow: their names stand in the column "accelerometer" in place of "gyro".
     Cells of columns that a line does not have are empty. Noted as lacking are covariances and uncertainty budget.
+    UsageError for a number that is not finite.
     """
     lines = [_line(exported, i, gyro) for i, gyro in enumerate(exported.gyros)]
     for force in exported.forces:
@@ -125,7 +126,11 @@ def _force_line(force: ForceCalibration, place: int, row: Floats) -> dict[str, s
 
 
 def _object(exported: Exported) -> dict[str, Any]:
-    """Return the complete export as a JSON object; ``solution_h`` is null if the gyros do not span space."""
+    """Return the complete export as a JSON object; ``solution_h`` is null if the gyros do not span space.
+
+    ``effects`` are those that a correction undoes, ``not_corrected`` has a line on each other. Keys on accelerometers
+    are there only if some were calibrated.
+    """
     compensation = exported.compensation
     try:
         solution: Any = compensation.solution.tolist()

@@ -24,8 +24,9 @@ def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -
 
 
 def beside_table(asked: Plan, offered: Plan) -> Table:
-    """Return a table of the predicted sigmas of ``offered``, which turns each axis early and late, beside those of
-    ``asked``.
+    """Return a table of the predicted sigmas of ``offered`` beside those of ``asked``, a row for each gyro.
+
+    ``offered`` is the plan that turns each axis early and late. Devices are named only if there are several.
     """
     heads = ["gyro"]
     figures = state_figures(asked.bench.units)
