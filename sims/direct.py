@@ -110,7 +110,10 @@ def direct_run(
 
 
 def _motions(moves: Sequence[TimedMove], gimbals: Sequence[str]) -> dict[str, AxisMotion]:
-    """Return the motion of each axis, which begins at home and carries out its moves."""
+    """Return the motion of each axis, which begins at home and carries out its moves, given in order of their times.
+
+    KeyError for a move of an axis that is no gimbal.
+    """
     motions = {axis: AxisMotion(0.0, _NO_LIMIT, _NO_LIMIT) for axis in gimbals}
     for motion in motions.values():
         motion.keep_all()

@@ -32,6 +32,7 @@ class GyroOutput:
         ``t_s`` (n,) are the instants of the gyros' samples, ``ticks`` (n,) the device's 2000 Hz count at them. ``unit``
         is the code of a rate, increment, average or integral; the latter three continue across calls. ``wanted_hz`` is
         the rate of datagrams, over which averages are taken. Gyros in ``saturated`` (0 to 2) are at their range.
+        Outputs are limited to 24 bits, except integrals, which wrap.
         """
         kind = unit & 3
         # A mean over a period is the rate at its middle, to second order.

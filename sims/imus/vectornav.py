@@ -295,7 +295,8 @@ def _fit(register: int, values: tuple[str, ...]) -> bool:
 def _layout(values: tuple[str, ...]) -> vectornav.Layout | None:
     """Return the frame layout that the values of registers 75 to 77 select (mode, divisor, groups, fields in hex).
 
-    None if no group is selected; Refused if the fields do not fit the groups or are not simulated.
+    None if no group is selected. Refused if they are no hexadecimal numbers, are too few or too many for the groups, or
+    name a field that is unknown or a group that a VN-100 does not have.
     """
     try:
         words = [int(text, 16) for text in values[2:]]

@@ -62,7 +62,10 @@ class Body:
         return self._revision_of_angles()
 
     def rate_rps(self, t_s: Floats) -> Floats:
-        """Return the inertial rate in body axes (n, 3) in rad/s at instants (n,), by differences of the attitude."""
+        """Return the inertial rate in body axes (n, 3) in rad/s at instants (n,), by differences of the attitude.
+
+        It includes that of the Earth, if the Earth turns.
+        """
         n = len(t_s)
         attitude = self._attitude(np.concatenate([t_s - _HALF_STEP_S, t_s + _HALF_STEP_S]), float(t_s[0]))
         before, after = attitude[:n], attitude[n:]

@@ -171,7 +171,9 @@ def _correction(calibration: ForceCalibration) -> ForceCorrection:
 def _lacking(exported: Exported, correction: ForceCorrection, parts: Collection[Part]) -> Iterator[str]:
     """Yield a line for each thing that is known of the accelerometers and is not among ``parts``, those of the format.
 
-    Always also: at which temperature they were calibrated, or that this is unknown.
+    Effects that do not depend on the specific force alone are lacking in any format. Two lines do not depend on
+    ``parts``: that the places are unknown, if they are, and at which temperature it was calibrated, or that this is
+    unknown.
     """
     if Part.DELAY not in parts and correction.delay_s:
         yield sentence("export.force_delay", delay_s=correction.delay_s)

@@ -44,7 +44,10 @@ def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> 
 
 
 def _motion(plan: Plan, width: int) -> Iterator[Shown]:
-    """Yield name and length of the script, the rates of the axes over time in ``width`` columns, and open durations."""
+    """Yield name and length of the script, and the rates of the axes over time in ``width`` columns.
+
+    A last line names the steps of which the duration is not known, if there are any.
+    """
     span = plan.script.span
     seconds = seconds_between(span.least_s, span.most_s)
     minutes = clock_between(span.least_s, span.longer_s)

@@ -271,7 +271,7 @@ def _as_found(recorded: Recorded, path: Path) -> Recorded:
     """Return the recording of the device as found; UsageError unless it is an earlier calibration of the same gyros.
 
     The order is not checked if the start of ``recorded`` is unknown; an unknown start of the other counts as later.
-    Serial numbers must not differ; one that is unknown fits all.
+    Serial numbers must not differ; one that is unknown fits all. RecordingError for a file that cannot be read.
     """
     before = read_recorded(path)
     serials = {before.text("device_serial"), recorded.text("device_serial"), ""}

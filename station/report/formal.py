@@ -102,7 +102,7 @@ def read_formal(recorded: Recorded, meta: Path | None = None, text: str | None =
     the folder of the recording, unless a ``meta`` other than the form's file names it. A guard band has by default the
     probability of false acceptance 0.025. Without the rule "guard band" a stated one is an error, but that of the bench
     is dropped if the file has another rule. UsageError with line and key for a file that is invalid, of another device,
-    or with impossible dates; BenchError for the bench text.
+    with impossible dates, or of a document that replaces itself; BenchError for the bench text.
     """
     beside, kept = recorded.path.parent, kept_facts(recorded.path)
     text = read_text(meta or kept, UsageError) if text is None and (meta or kept.is_file()) else text or ""

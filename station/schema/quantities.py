@@ -18,7 +18,7 @@ class QuantityError(ValueError):
 def parse(text: object, kind: str) -> float:
     """Return the SI value of a text such as "0.1 deg/s" of this kind, such as "rate".
 
-    QuantityError for a wrong or missing unit, or a value that is not finite.
+    QuantityError for what is no text with a number, a wrong or missing unit, or a value that is not finite.
     """
     units = UNITS[kind]
     example = f'"20 {units[0 if kind == "ratio" else min(1, len(units) - 1)]}"'

@@ -158,8 +158,9 @@ def _value(key: Key, value: object, folder: Path, list_length: int) -> Any:
 
 
 def _texts(key: Key, value: object) -> tuple[str, ...]:
-    """Return a list of texts, or a single text, as a tuple; ValueError if invalid. Texts of a fixed choice must
-    differ.
+    """Return a list of texts, or a single text, as a tuple.
+
+    ValueError for an empty list, anything but texts, and, of a fixed choice, other or repeated texts.
     """
     listed = value if isinstance(value, list) else [value]
     if not listed or not all(isinstance(one, str) for one in listed):

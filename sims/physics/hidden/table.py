@@ -147,9 +147,10 @@ class TableReading(OfTable):
         shift = self.shift(lambda t_s: np.array([motion(t)[0] for t in t_s.tolist()]), started_s)
 
         def read(t_s: float) -> tuple[float, float]:
-            """Return the angle and rate as the faulty table reports them; without a fault outside of its time span.
+            """Return the angle and rate as the faulty table reports them.
 
-            In the span the angle jumps or is frozen at its beginning, and the rate is off in scale or stale.
+            The angle has gain and creep at any time, unless the servo follows them. In the span it also jumps or is
+            frozen at its value from the beginning, and the rate is off in scale or stale.
             """
             angle, rate = motion(t_s)
             if not self.followed:

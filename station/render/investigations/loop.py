@@ -107,7 +107,7 @@ def runs_object(loop: "Loop") -> list[dict[str, Any]]:
 def _round_object(turn: "Round") -> dict[str, Any]:
     """Return one round of a loop for --json: its runs, the result of the investigation, and the script to drive next.
 
-    ``next_name`` and ``next_probability``, that of its deciding, are None if no script follows.
+    ``next_name`` and ``next_probability``, with which that script decides between rivals, are None if none follows.
     """
     whole = investigation_object(_view(turn))
     following = turn.following

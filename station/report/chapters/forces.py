@@ -154,7 +154,8 @@ def _intrinsic(calibration: ForceCalibration) -> ForceTable:
 def _budget(calibration: ForceCalibration) -> ForceTable:
     """Return the standard uncertainties of the states by source, rms over the accelerometers, and last the combined.
 
-    The sources are those of the first accelerometer, of which there must be one.
+    The sources are those of the first accelerometer, of which there must be one. The mean of a source is over those
+    that have it.
     """
     figures = fitted_forces(calibration)
     names = [line.name for line in calibration.accelerometers[0].budget]
