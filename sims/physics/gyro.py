@@ -51,7 +51,8 @@ class GyroArray:
         """Prepare the gyros, m in number, which sample at ``rate_hz``; the same ``seed`` gives the same noise.
 
         ``mounting`` has their nominal axes, ``truth`` their errors, ``body`` the motion. The bench clock, which
-        temperature and ``hidden`` effects follow, is at ``started_s`` at the instant 0.
+        temperature and ``hidden`` effects follow, is at ``started_s`` at the instant 0. The temperature is that of
+        ``hidden`` if it has one, else that of ``truth``. HiddenError for effects that do not fit m gyros.
         """
         self._truth = truth
         self._body = body

@@ -56,7 +56,8 @@ class GalilAxisTwin:
         """Return the value that a command or operand reports, in counts and counts/s; Refused for an unknown one.
 
         TV is a mean over the window of velocity, TE one more than its limit once the following error has tripped, else
-        0. TD and TT are 0.
+        0. PA is where the last motion stopped while the axis moves, else where it stands. TD and TT are 0; a setting
+        has what was set.
         """
         if word in ("TP", "DP"):
             return self._position()

@@ -23,8 +23,9 @@ def lines_of(
 
     Values come first, then the tables in it; ``name`` is the prefix of their headings ("table."), and ``path`` that of
     the keys of ``docs``, both empty for a file. A key that is left out is written as a comment if it has an example,
-    and so is a table that is left out, unless it has a default. ``docs`` are comments that replace the declared ones,
-    by path: "table.link", or "imu.array.rate" for the device "array".
+    and so is a table that is left out, unless it has a default. A list of tables has headings in a file, and is one
+    value within a table. ``docs`` are comments that replace the declared ones, by path: "table.link", or
+    "imu.array.rate" for the device "array".
     """
     keys = {key.name: key for key in (*(key for section in sections for key in keys_of(section)), *more)}
     inner = {own: value for own, value in data.items() if isinstance(value, dict) or (not path and _tables(value))}

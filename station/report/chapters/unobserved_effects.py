@@ -115,6 +115,7 @@ def driven_step(table: TableReadings, step: Step) -> Driven:
 
     The turn is that of the fastest axis, about no other axis, by a trapezoid of the rate. Rates (per second) and turns
     are rounded to 0.01 deg. A motion that the readings do not resolve, or that ends where it began, counts as rest.
+    After a turn up to 0.1 s of rest are left out.
     """
     duration_s = (step.end_ns - step.start_ns) * 1e-9
     inside = (table.t_ns >= step.start_ns) & (table.t_ns <= step.end_ns)
