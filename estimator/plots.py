@@ -16,7 +16,10 @@ _SHOWN = np.array([1e6, np.degrees(3600), np.degrees(3600), np.degrees(3600)])
 
 
 def plot_rates(recording: Recording, axes: "Axes | None" = None) -> "Axes":
-    """Draw the outputs of all gyros over time, in deg/s; return the axes, new ones by default."""
+    """Draw the outputs of all gyros over time, in deg/s; return the axes, new ones by default.
+
+    Time is in seconds since the first sample of all sources.
+    """
     axes = _axes(axes)
     start_ns = min(data.t_ns[0] for data in recording.sources.values())
     for data in recording.sources.values():

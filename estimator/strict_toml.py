@@ -66,7 +66,10 @@ class StrictTable:
         return type(self)(self._data, self._path, self._text, self._file, self._error)
 
     def fail(self, key: str | None, message: str) -> Exception:
-        """Return an error that names file, line and key."""
+        """Return an error that names file, line, table and ``key``, for the caller to raise.
+
+        It names only the table if the key is None, no line if neither is found. A long message is cut.
+        """
         line = self._line(key)
         where = f"{self._file}, line {line}" if line else self._file
         message = message if len(message) <= _LONGEST else f"{message[:_LONGEST]} ..."
@@ -180,7 +183,9 @@ class StrictTable:
         """Take the plain keys declared in ``keys``; return the values by field. Degrees become radians, choices their
         values.
 
-        The table's error if one is invalid, or missing without a default.
+        A declaration has ``field`` and ``kind`` (flag, text, choice, degrees; any other is a number), and may have
+        ``default``, ``one_of``, ``positive``, ``least`` and ``most``. The table's error if a value is invalid, or
+        missing without a default.
         """
         found = {}
         for key, says in keys.items():

@@ -32,9 +32,9 @@ from estimator.types import Floats
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:
     """Write /calibration: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise of a sample (n,).
 
-    With ``noise`` (n, 3) if known for all gyros, its upper 95 % limits (n, 2), and ``budget`` (n, contributions, 4):
-    standard uncertainties that add in squares to ``sd``. If all gyros were at rest, also the Allan deviation
-    ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, its 95 % interval from
+    With ``noise`` (n, 3) if known for all gyros, its upper 95 % limits (n, 2), and ``budget`` (n, contributions, 4), if
+    all gyros have the same: standard uncertainties that add in squares to ``sd``. With ``rest`` of all gyros, Allan
+    deviations ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, its 95 % interval from
     ``allan_low_rps`` to ``allan_high_rps``, and N, B and K in ``rest_noise`` (n, 3) with their intervals from
     ``rest_noise_low`` to ``rest_noise_high``, the lower end 0 if not seen. With an error model its effects, ``effects``
     (n, e) and ``effects_sd`` (n, e) in SI units, named by the attributes ``effect_names`` and ``effect_units``;
@@ -199,7 +199,11 @@ def _noise(group: Any, gyro: int) -> NoiseFound | None:
 
 
 def _effects(group: Any, model: str, n: int, where: str) -> list[tuple[EffectValue, ...]]:
-    """Return the effects of each gyro; their expected sizes are taken from the text of the model."""
+    """Return the effects of each of ``n`` gyros, without any if ``group`` names none.
+
+    Their expected sizes are taken from the text of the ``model``; ``where`` names it in errors. ModelError if that is
+    no model of this version, KeyError for an effect that it lacks, ValueError for arrays of another shape.
+    """
     labels = [label.partition(": ") for label in _texts(group.attrs.get("effect_names", ()))]
     if not labels:
         return [()] * n

@@ -72,7 +72,8 @@ class Compensation:
         """Return the compensation of calibrated gyros; ``arrays`` are those of their sources, ``model`` the
         calibration's.
 
-        Gyros of the same name get their device's name as prefix. ModelError for a model of another version,
+        Gyros of the same name get their device's name as prefix. A delay of the stamps becomes ``delay_s``. Effects of
+        a table's axes, and those whose record says so, are ``left_out``. ModelError for a model of another version,
         CompensationError for an effect that this version cannot correct.
         """
         known = {effect.called: effect for effect in ErrorModel.parse(model, "calibration").effects} if model else {}
@@ -122,7 +123,8 @@ class Compensation:
     def simplified(self, keep: Collection[str], temperature_c: float) -> tuple[Self, dict[str, str]]:
         """Return a compensation with only the effects ``keep``, and for each other effect why it is left out.
 
-        Of effects of the temperature the constants then include the value at ``temperature_c``, and a warm-up is over.
+        Of effects of the temperature the constants then include the value at ``temperature_c`` (NaN: that of the
+        reference), and a warm-up is over. An effect without such a steady value is dropped uncorrected.
         """
         g, b = self.sensitivity, self.bias_rps.copy()
         above = temperature_c - REFERENCE_C if np.isfinite(temperature_c) else 0.0

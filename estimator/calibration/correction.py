@@ -33,7 +33,8 @@ def less_added(of: Compensation, rate_rps: Floats, t_s: Floats, *sensed: Floats 
     """Return outputs (N, n) in rad/s without bias and without the effects that do not depend on the rate; lags are
     undone.
 
-    ``sensed`` are temperature and specific force, as for ``compensate``.
+    ``sensed`` are temperature and specific force, as for ``compensate``; None, or left out, if unknown.
+    CompensationError if an effect needs one that is.
     """
     temperature_c, accel_mps2 = (*sensed, None, None)[:2]
     _check(of, temperature_c, accel_mps2)

@@ -95,7 +95,8 @@ class KnownEffect:
         """Return the effect for a table with these gimbals (none: no table), with its sizes as the largest plausible
         ones.
 
-        ModelError if the effect does not fit the table.
+        ModelError if the effect does not fit the table. Without a table it is made for the axes that it names; if its
+        parameters are then others than in the model, the sizes stay those of the catalogue.
         """
         lacking = [axis for axis in self.axes if axis not in gimbals]
         if lacking and gimbals:
@@ -231,7 +232,11 @@ _REMEDIES = {
 
 
 def _read_effect(entry: Mapping[str, Any], where: str) -> KnownEffect:
-    """Return one effect of a model; ModelError if the catalogue lacks it, ValueError if its parameters differ."""
+    """Return one effect of a model; ModelError if the catalogue lacks it or does not keep it for models.
+
+    ValueError if its parameters differ or a value is out of range, KeyError if one is missing. ``where`` names the
+    model in errors.
+    """
     name = str(entry["effect"])
     record = record_of(name)
     if record is None or record.not_kept:
@@ -259,7 +264,10 @@ def _sizes_object(sizes: Sequence[Size], figures: Mapping[str, tuple[tuple[float
 
 
 def _read_sizes(entry: Mapping[str, Any]) -> tuple[tuple[Size, ...], dict[str, tuple[tuple[float, float], ...]]]:
-    """Return the parameters of an effect, and what they come from; see ``_sizes_object``."""
+    """Return the parameters of an effect, and what they come from; see ``_sizes_object``.
+
+    KeyError if a value is missing, ValueError for one that is not finite or a deviation that is not above 0.
+    """
     sizes = tuple(
         Size(str(p["name"]), str(p["unit"]), _finite("mean", p["mean"]), positive("sd", p["sd"]))
         for p in entry["parameters"]

@@ -21,7 +21,10 @@ def forces_text(forces: Sequence[ForceCalibration]) -> str:
 
 
 def forces_of(text: str) -> tuple[ForceCalibration, ...]:
-    """Return the calibrations in a text of ``forces_text``; ValueError if it is of another version or damaged."""
+    """Return the calibrations in a text of ``forces_text``.
+
+    ValueError if it is of another version or no JSON; that, KeyError, TypeError or AttributeError if it is damaged.
+    """
     top = json.loads(text)
     if top.get("version") != VERSION:
         raise ValueError(f"version {top.get('version')} of the calibration of accelerometers")

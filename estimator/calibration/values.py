@@ -147,9 +147,9 @@ class Calibration:
 def unseen_notes(
     name: str, covariance: Floats, prior: StatePrior, states: tuple[State, ...] = GYRO.states
 ) -> list[str]:
-    """Return a sentence for each state of a sensor whose sigma is nearly that of the prior.
+    """Return a sentence for each state of a sensor whose sigma is more than half of that of the prior.
 
-    ``covariance`` (4, 4) is that of its ``states``, by default those of a gyro.
+    ``covariance`` (4, 4) is that of its ``states``, by default those of a gyro; ``name`` is that of the sensor.
     """
     ratio = np.sqrt(np.diag(covariance) / prior.variances())
     return [

@@ -31,8 +31,8 @@ CONSTRUCTED = Record(
 def constructed(law: str, largest: tuple[float, ...] = ()) -> Effect:
     """Return the effect of a law, separate for each gyro.
 
-    ``largest`` are the largest plausible sizes of its coefficients, one for each term, by default 1. LawError for a
-    text that is not a law.
+    ``largest`` are the largest plausible sizes of its coefficients, one for each term (else ValueError), by default 1.
+    LawError for a text that is not a law.
     """
     effect = CONSTRUCTED.effect(law=_checked("law", law))
     sizes = largest or (1.0,) * len(effect.parameters)

@@ -47,8 +47,9 @@ def calibrate(
 
     The noise may be coloured (``estimator.estimation.noise_evidence``). Each source's time offset is estimated too,
     except at rest, for turns or poses, and with a model that holds a delay. ``innovations`` also gives the mean NIS,
-    else NaN. A ``model``'s effects are estimated with the states. Without one, ``excluded`` names the catalogue's
-    effects that device and table do not have: the sigmas hold what the others could do unseen; not for None.
+    else NaN. A ``model``'s effects are estimated with the states; an empty one counts as none. Without one,
+    ``excluded`` names the catalogue's effects that device and table do not have: the sigmas hold what the others could
+    do unseen; not for None. Defective gyros are left out and listed in the result. Accelerometers are calibrated too.
 
     Raises RecordingError if a source has no samples the reference covers, no gyro can be estimated, or memory is too
     small; ModelError if the recording lacks what the model needs.
@@ -111,7 +112,8 @@ def _doubts(
 ) -> tuple[list[str], list[str]]:
     """Return sentences on what no sigma can cover, and all notes that question the sigmas, which include the former.
 
-    A table comes first: it is doubted where its readings contradict each other, or where samples repeat while it turns.
+    The former are doubts about the table and changes in mid-run. A table comes first in both: it is doubted where its
+    readings contradict each other, or where samples repeat while it turns.
     """
     of_table: list[str] = []
     if recording.table is not None:
@@ -126,8 +128,9 @@ def _doubts(
 
 
 def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:
-    """Return sentences on what a recording did not show of its gyros; none for a body at rest, which has its own
-    note.
+    """Return sentences on states that a recording did not show, and on a k that is rather a wrong sign or unit.
+
+    None for a body at rest, which has its own note.
     """
     notes: list[str] = []
     for one, gyro in gyros if not recording.reference.at_rest else ():
@@ -202,10 +205,11 @@ def _device(
 
 
 def _gyros(recording: Recording, estimate: SourceEstimate) -> list[GyroCalibration]:
-    """Return the calibration of each gyro of a source, with the table's own uncertainty and the noise at rest added.
+    """Return the calibration of each gyro of a source: its covariance with that of the table, and its noise at rest.
 
     The uncertainty of the table is added only for table readings. A line that the estimate holds already (the time
-    offset) replaces the line of that name which the table states.
+    offset) replaces the line of that name which the table states. Noise at rest is sought with a table, or for a body
+    at rest; ``rest`` is None otherwise.
     """
     data, m = estimate.data, len(estimate.data.array)
     table: list[tuple[Contribution, ...]] = [()] * m
@@ -239,7 +243,10 @@ def _gyros(recording: Recording, estimate: SourceEstimate) -> list[GyroCalibrati
 
 
 def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration]) -> list[GyroParity]:
-    """Return the parity check of the gyros of a device; an empty list if a source has no block means to check."""
+    """Return the parity check of the gyros of a device.
+
+    An empty list if a source has no block means, for fewer than four gyros, or without blocks common to all sources.
+    """
     blocks = [one.blocks for one in estimates if one.blocks is not None]
     if len(blocks) < len(estimates):
         return []
@@ -268,7 +275,10 @@ def _block_squares(estimates: Sequence[SourceEstimate]) -> tuple[float, int]:
 
 
 def _scatter_doubts(estimates: Sequence[SourceEstimate]) -> list[str]:
-    """Return a sentence if the block means scatter otherwise than the estimated noise predicts, else an empty list."""
+    """Return a sentence if the block means scatter otherwise than the estimated noise predicts, else an empty list.
+
+    The difference, to either side, must exceed chance and 5 %. Without blocks the list is empty.
+    """
     squares, dof = _block_squares(estimates)
     if not dof or not np.isfinite(squares):
         return []

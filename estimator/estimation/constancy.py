@@ -24,6 +24,7 @@ from estimator.sensors.gyros import GYRO
 from estimator.types import Floats
 
 Key = tuple[str, float, str]
+"""What may change, in words; the factor from its SI unit to the unit shown; that unit."""
 
 _BY_CHANCE = 1e-4  # probability that a run without changes is reported
 _MOST_SPANS = (40, 80)  # parts of a run at most: at first, and where those find something worth a look
@@ -40,8 +41,8 @@ _STATES: tuple[Key, ...] = tuple((state.symbol, *_SHOWN[state.unit]) for state i
 
 
 class _Change(NamedTuple):
-    """A change in mid-run: its size in sigmas, the words for it, its key, its size in its unit, the edges between which
-    it was.
+    """A change in mid-run: its size in sigmas, the words for it, its key, its size in SI units (before the factor of
+    the key), and the numbers of the two edges of time between which it was.
     """
 
     sigmas: float
@@ -55,10 +56,11 @@ def changes(joint: Joint) -> list[str]:
     """Return one sentence on what changed in mid-run by more than chance (a state of a gyro, or the table), or an empty
     list.
 
-    The run is searched in finer and finer spans of time; too few blocks end the search. Changes that fit as well are
-    named together, at most ``_MOST_NAMED``. A change that lies below the limit is looked at again, because the noise
-    was estimated with the change in it and may have absorbed it: the change is subtracted, the noise estimated anew,
-    and twice the gain in log evidence counts as squared sigmas.
+    The runs are searched in spans of time, then in finer ones if something is at least near the limit. Too few blocks
+    for two spans give an empty list. Changes that fit as well are named together, at most ``_MOST_NAMED``. If all lie
+    below the limit, those near it are looked at again, because the noise was estimated with the change in it and may
+    have absorbed it: the change is subtracted, the noise estimated anew, and twice the gain in log evidence counts as
+    squared sigmas.
     """
     columns = [one for number, run in enumerate(joint.runs) for one in _columns(run)]
     edges_s = np.linspace(min(run.t_s[0] for run in joint.runs), max(run.t_s[-1] for run in joint.runs), 2)
@@ -84,8 +86,11 @@ def changes(joint: Joint) -> list[str]:
 
 
 def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Change, edges_s: Floats) -> float:
-    """Return the sigmas of a change after the noise was estimated again without it; ``columns`` by gyro and key
-    (b,).
+    """Return the sigmas of a change after the noise was estimated again without it: the root of twice the gain in log
+    evidence, 0 without a gain.
+
+    ``columns`` hold by gyro and key what a change of size 1 adds to the output error (b,). Gyros without the key of the
+    change keep their output error.
     """
     first_s, last_s = edges_s[change.edges[0]], edges_s[change.edges[1]] + 1e-9
     spectra = list(joint.evidence.gyros)
@@ -104,7 +109,8 @@ def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Chan
 def halves(joint: Joint, cluster_s: float) -> list[str]:
     """Return one sentence if a state differs between the halves of a run by more than chance, else an empty list.
 
-    This is for references of other instruments, whose errors are correlated over ``cluster_s`` (Liang, Zeger 1986).
+    It names only the largest difference. This is for references of other instruments, whose errors are correlated over
+    ``cluster_s`` (Liang, Zeger 1986).
     """
     found = []
     for gyro, name in enumerate(name for run in joint.runs for name in run.array.names):
@@ -125,8 +131,9 @@ def halves(joint: Joint, cluster_s: float) -> list[str]:
 def _half(t_s: Floats, rows: Floats, precision: Floats, cluster_s: float) -> tuple[Floats, Floats]:
     """Return the states (4,) and their variances (4,) of a gyro from whitened rows (b, c + 1) of one half of a run.
 
-    ``precision`` (c,) is that of the prior. Each variance is the larger of the variance under the noise and the one
-    with residuals correlated within clusters of ``cluster_s``.
+    The rows are [states, z, laws], ``t_s`` (b,) their instants. ``precision`` (c,) is that of the prior. Each variance
+    is the larger of the variance under the noise and the one with residuals correlated within clusters of
+    ``cluster_s``.
     """
     columns = np.delete(rows, Z, axis=1)
     covariance = np.linalg.inv(columns.T @ columns + np.diag(precision))
@@ -149,7 +156,8 @@ def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
     key.
 
     Where it is nearly as significant to let the change last from the start or to the end of the run, that is chosen:
-    one instant is simpler than two.
+    one instant is simpler than two. The text on a change from the start until an instant tells the opposite change from
+    that instant on.
     """
     score, variance = spans
     sigmas = np.abs(score) / np.sqrt(np.where(variance > 0, variance, np.inf))
@@ -198,8 +206,9 @@ def _columns(run: Run) -> list[dict[Key, Floats]]:
 def _spans(joint: Joint, gyro: int, columns: Floats, edges_s: Floats) -> Floats:
     """Return (c, 2, T + 1, T + 1): score and variance of each of the columns (c, b) of a gyro in each span of time.
 
-    A span reaches from one of the T + 1 edges in ``edges_s`` to a later one. Both values are 0 where the span is empty
-    or runs backwards, or where the constant states explain nearly all that the column shows in it.
+    A span reaches from one of the T + 1 edges in ``edges_s`` (third index) to a later one (fourth). Both values are 0
+    where the span is empty or runs backwards, or where the constant states and laws explain nearly all that the column
+    shows in it.
     """
     (run, own_number), spectra = joint.run_of(gyro), joint.evidence.gyros[gyro]
     parts, c, n = len(edges_s) - 1, len(columns), spectra.columns[0].shape[1]

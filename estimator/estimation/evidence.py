@@ -28,7 +28,8 @@ _OWN = 0.1  # share of the expectation on a gyro that does not follow the other 
 class Term:
     """An effect in a model: its columns (scaled to the largest plausible size) and the scale of its prior.
 
-    ``sizes`` are scales of the single columns in addition, if these differ.
+    ``shared``: all gyros have the same parameters. ``sizes`` are scales of the single columns in addition, if these
+    differ. ``log_tries`` is what its log evidence loses because so many like it are tried.
     """
 
     name: str
@@ -84,7 +85,7 @@ class Evidence:
         shapes: NoiseShapes,
         excess: Mapping[tuple[str, int], Profile] | None = None,
     ) -> None:
-        """Take the gyros and noise models; ``excess`` is by gyro and run the noise beyond the models."""
+        """Take gyros and noise models; ``excess`` is the noise beyond these, by name of gyro and number of run."""
         self.gyros, self.shapes = list(gyros), shapes
         self._all = shapes
         self.excess = dict(excess or {})
@@ -93,7 +94,7 @@ class Evidence:
         self.refresh()
 
     def without(self, fold: Callable[[int, Stretch], bool]) -> "Evidence":
-        """Return that of all stretches but those that ``fold`` names by their number."""
+        """Return the evidence without the stretches for which ``fold(number within the gyro, stretch)`` is true."""
         kept = [[n for n, stretch in enumerate(gyro.stretches) if not fold(n, stretch)] for gyro in self.gyros]
         gyros = [gyro.only(own) for gyro, own in zip(self.gyros, kept, strict=True)]
         return Evidence(gyros, self.shapes, self.excess)
@@ -103,9 +104,7 @@ class Evidence:
         return Evidence(self.gyros, self.shapes.select(np.arange(len(self.shapes)) == noise), self.excess)
 
     def narrow(self, models: Sequence[Sequence[Term]]) -> None:
-        """Keep the noise models that matter beside a set of terms, and those without walk and with hardly any
-        turn-on.
-        """
+        """Keep the noise models that matter beside any of ``models``, and those with no walk and hardly any turn-on."""
         keep = (self._all.walk == 0) & (self._all.turn_on <= _HARDLY)
         for terms in models:
             log = self.by_noise(terms) + self.shapes.log_prior
@@ -131,7 +130,7 @@ class Evidence:
         return self.shapes.density(stretch) * more.at(stretch.band_hz)
 
     def gram(self, rows: Numbers, columns: Numbers) -> Floats:
-        """Return the products (gyros, G, ...) of columns under each noise model, for numbers as they broadcast."""
+        """Return the products (gyros, G, ...) of pairs of columns, as the numbers broadcast, under each noise model."""
         pairs = zip(self.gyros, self._densities, strict=True)
         return np.array([gyro.gram(densities, rows, columns) for gyro, densities in pairs])
 
@@ -139,8 +138,8 @@ class Evidence:
         """Set ``excess`` to what all known terms together leave beyond the noise models, by gyro, run and band.
 
         Every effect is then judged against that rest, which no function of measured values explains. ``rich`` holds all
-        known terms; each gyro fits them by itself. ``misfit`` becomes the excess by gyro and run, summed over blocks,
-        in (rad/s)^2.
+        known terms; each gyro fits them by itself. Less noise than the models have is not allowed for. ``misfit``
+        becomes the excess by gyro and run, summed over blocks, in (rad/s)^2, 0 where there is none.
         """
         self.excess.clear()
         self.refresh()
@@ -173,7 +172,8 @@ class Evidence:
     def _left(self, terms: Sequence[Term]) -> list[Floats]:
         """Return by gyro what a model leaves by band, (5, n): run, frequency in Hz, noise, squares over it, freedom.
 
-        Each gyro has its most probable noise model and fits shared terms by itself.
+        The n bands are those of all stretches. Each gyro has its most probable noise model and fits shared terms by
+        itself. The degrees of freedom are at least 5 % of the coefficients of a band.
         """
         own = [replace(term, shared=False) for term in terms]
         best = np.argmax(self.noise_weights(own), axis=0)
@@ -208,7 +208,10 @@ class Evidence:
         return _normal(self.by_noise(terms) + self.shapes.log_prior)
 
     def noise_weights(self, terms: Sequence[Term]) -> Floats:
-        """Return the probability of each noise model for each gyro (G, gyros); gyros are expected to be similar."""
+        """Return the probability of each noise model for each gyro (G, gyros); gyros are expected to be similar.
+
+        Each gyro fits shared terms by itself.
+        """
         evidence = Base(self, [replace(term, shared=False) for term in terms]).by_gyro().T
         prior = self.shapes.log_prior[:, None]
         if evidence.shape[1] == 1:
@@ -310,17 +313,17 @@ class Base:
         return np.asarray(self.products(self._last[None], self._last[None])[:, :, 0].sum(axis=0))
 
     def with_functions(self, columns: Numbers, sizes: Floats, scales: Floats) -> Floats:
-        """Return the log evidence (s, G) with, a gyro its own, a sum of functions of each scale (s,).
+        """Return the log evidence (s, G) with some functions added that each gyro has for itself, at scales (s,).
 
-        The functions are ``columns`` times ``sizes`` (c,).
+        The functions are ``columns`` (c,), numbers of columns, times ``sizes`` (c,).
         """
         return self._with_own(columns[None], sizes[None], scales)[:, :, 0]
 
     def with_each(self, terms: Sequence[Term]) -> list[tuple[float, Term]]:
         """Return for each term the log evidence with it, less its ``log_tries``, and the term at its best scale.
 
-        The order is that of ``terms``. The log evidence is the mean over all scales. Terms with the same number of
-        columns are computed together.
+        The order is that of ``terms``, whose names must differ. The log evidence is the mean over all scales and noise
+        models. Terms with the same number of columns are computed together.
         """
         found: dict[str, tuple[float, Term]] = {}
         alike = groupby(sorted(terms, key=_form), key=_form)
@@ -411,9 +414,10 @@ def _form(term: Term) -> tuple[bool, int]:
 
 
 def _without_shared(total: Floats, shared: Sequence[Term], log: Floats) -> Floats:
-    """Return the log evidence (...) with the shared terms eliminated, too; ``log`` (...) is that without.
+    """Return the log evidence (...) with the shared terms eliminated, too; they may be none.
 
-    ``total`` (..., h + 1, h + 1) are the products of their h columns and of z, which is the last.
+    ``total`` (..., h + 1, h + 1) are the products of their h columns and of z, which is the last. ``log`` (...) is the
+    part of the log evidence that does not depend on z.
     """
     left = total[..., -1, -1]
     if shared:

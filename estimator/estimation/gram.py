@@ -35,8 +35,9 @@ class Gram:
 
     @classmethod
     def of(cls, w_rps: Floats, y_rps: Floats, weight: Floats | None = None) -> "Gram":
-        """Return the products of body rates (rows, 3) and outputs (rows, m), summed in chunks; ``weight`` (rows,)
-        scales the rows.
+        """Return the products of body rates (rows, 3) and outputs (rows, m), summed in chunks.
+
+        Each row, with its 1, is multiplied by ``weight`` (rows,) before, if that is given.
         """
         rows, channels = y_rps.shape
         total = np.zeros((4 + channels, 4 + channels))
@@ -70,7 +71,7 @@ def solve(gram: Gram, array: SensorArray, prior: Prior, noise_rps: Floats | None
     """Return the estimate of [k, b, s_j, s_k] of every gyro under the prior.
 
     ``noise_rps`` (m,) is the white noise of one row; by default it is taken from the residual of a fit without the
-    prior, with ``_LEAST_NOISE_RPS`` as the least.
+    prior, with ``_LEAST_NOISE_RPS`` as the least. States that the rows do not show stay as the prior has them.
     """
     m = len(array)
     maps = regressor_maps(array)

@@ -87,7 +87,8 @@ def estimate_device(
     ``model`` holds effects that are estimated with the states. ``excluded`` are effects of the catalogue that device
     and table do not have; the others then widen the sigmas. None, or a model, leaves this out. The time offset between
     the reference and each source is estimated with the states, except at rest, for turns, and with a model that holds a
-    delay. For the reference of another instrument the covariances allow for errors correlated over 5 s.
+    delay. For the reference of another instrument the covariances allow for errors correlated over 5 s, and ``doubts``
+    say if the halves of the recording disagree; for all others ``spoilt`` says what changed in mid-run.
 
     Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
     """
@@ -167,8 +168,9 @@ def _aligned(
     """Return (sources with stamps moved to the reference's, seconds moved by source, laws, estimate, notes).
 
     Gauss-Newton iteration from the offset at which the motions of both match best: each offset found is subtracted from
-    the stamps and estimated again until it changes no more. A note names each source that has not settled after
-    ``_MOST_STEPS``. At rest, for turns and with a model that holds a delay nothing is moved.
+    the stamps and estimated again until it changes no more, at most by 50 ms a step. A note names each source that has
+    not settled after ``_MOST_STEPS``. At rest, for turns and with a model that holds a delay nothing is moved, and no
+    delay is added to the laws.
     """
     # A model with a delay estimates it itself.
     timed = not recording.reference.at_rest and recording.turns is None
@@ -269,7 +271,8 @@ def _hz(known: KnownEffect) -> float | None:
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
     """Return the law of a source's time offset, of which ``taken_off_s`` was subtracted.
 
-    Its sigma is that of the table's stated timing and of its readings' instants, else the usual one.
+    Its sigma is that of the table's stated timing and of its readings' instants, else the usual one. It has a line of
+    the budget only if the table states an uncertainty.
     """
     table = recording.table
     sd_s = expected_sd_s()
@@ -289,7 +292,10 @@ def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
 
 
 def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[float, float]]:
-    """Return by source the delay that is left in s and its standard deviation; all gyros of a source have the same."""
+    """Return by source the delay that is left in s and its standard deviation; all gyros of a source have the same.
+
+    ``covariances`` are by gyro those of [states, laws]. Sources without a law of the delay are left out.
+    """
     found = {}
     for number, law in enumerate(joint.laws):
         if law.called == _DELAY:
@@ -399,7 +405,10 @@ def _block_s(data: ImuData) -> float:
 
 
 def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
-    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4)."""
+    """Return the scatter of single samples within blocks (m,), in rad/s, about the states x (m, 4).
+
+    It is at least a thousandth of ``sample_noise``.
+    """
     array = data.array
     maps = regressor_maps(array)[:, :, 1:]
     rows = max(int(blocks.rows.sum()) - len(blocks.rows), 1)

@@ -64,8 +64,9 @@ class Joint:
     ``means`` (c,) and ``covariances`` (c, c) by gyro are those of [states, laws]: laws in the order of ``laws``, a
     gyro's own before the shared ones, each parameter as its deviation from the expected value in units of its expected
     sigma. ``noise`` is the estimated noise; ``arw`` and ``white`` (gyros,) are the white noise in all of the residual
-    and in the upper half of its frequencies. ``runs`` have the expected part of the laws subtracted; ``columns`` are
-    those of the laws.
+    and in the upper half of its frequencies. ``runs`` have the expected part of the laws subtracted; ``columns`` are by
+    run those of the laws (m, b, p). ``weight`` (G, gyros) is the probability of each noise model for each gyro,
+    ``expected_nis`` mean and standard deviation of the mean NIS of blocks.
     """
 
     runs: list[Run]
@@ -94,8 +95,8 @@ class Joint:
         return next((n, gyro - its.start) for n in range(len(self.runs)) if gyro in (its := self.gyros_of(n)))
 
     def shifts(self, gyro: int, columns: Floats) -> Floats:
-        """Return by how much the states (4, p) of a gyro move if columns (b, p) of its run are added to its output
-        error.
+        """Return by how much the states (4, p) of a gyro move if each of the columns (b, p), in rad/s over the blocks
+        of its run, is added to its output error.
         """
         number, own = self.place_of(gyro)
         run, spectra = self.runs[number], self.evidence.gyros[gyro]
@@ -125,6 +126,8 @@ class Joint:
     def whitened(self, gyro: int) -> tuple[Floats, Floats]:
         """Return instants (b,) and rows (b, c + 1) of [states, z, laws], weighted so that their noise is white with
         variance one.
+
+        Blocks outside the stretches that are long enough for a spectrum are left out.
         """
         from scipy.fft import idct
 
@@ -155,7 +158,9 @@ def bias_notes(recording: Recording, weight: Floats, turn_on: Floats, arw: float
 def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
     """Return the joint estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
 
-    Raises TooShort for a run without samples, or a gyro with too few blocks to tell noise by its frequencies.
+    Shared laws come last in it, whatever their place in ``laws``. Blocks on ramps of the rate weigh less if they leave
+    more than steady rates. Raises TooShort for a run without samples, or a gyro with too few blocks to tell noise by
+    its frequencies.
     """
     ordered = sorted(laws, key=lambda law: law.effect.shared)
     columns = [columns_of(run, ordered) for run in runs]
@@ -203,7 +208,8 @@ def settled(
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
     """Return blocks as a run of one source, without conditions: only the states can be estimated for it.
 
-    ``data`` may hold no samples. Blocks that are less than half full have no weight.
+    ``data`` may hold no samples. Blocks that are missing or less than half full have weight 0; without any block the
+    run is empty.
     """
     b, m = (int(blocks.index[-1]) + 1 if len(blocks.index) else 0), len(data.array)
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)
@@ -304,7 +310,11 @@ def _spectra(runs: Sequence[Run], columns: Sequence[Floats]) -> list[GyroSpectra
 
 
 def terms_of(laws: Sequence[Law]) -> list[Term]:
-    """Return ordered laws as terms, with columns scaled by the expected sigmas."""
+    """Return ordered laws as terms: one of all laws of single gyros, one of all shared ones; a term without columns is
+    left out.
+
+    Their columns, scaled by the expected sigmas, come after that of the output error.
+    """
     count = [sum(len(law.sd) for law in laws if law.effect.shared == shared) for shared in (False, True)]
     own, shared = range(Z + 1, Z + 1 + count[0]), range(Z + 1 + count[0], Z + 1 + sum(count))
     both = Term("own", tuple(own), shared=False), Term("shared", tuple(shared), shared=True)
@@ -314,6 +324,8 @@ def terms_of(laws: Sequence[Law]) -> list[Term]:
 def _expected_nis(evidence: Evidence, weight: Floats) -> tuple[float, float]:
     """Return mean and standard deviation of the mean NIS of blocks that the estimated noise predicts, per unit of white
     noise.
+
+    ``weight`` (G, gyros) are the probabilities of the noise models. The mean of each stretch does not count.
     """
     total = squares = count = 0.0
     for gyro, own in zip(evidence.gyros, weight.T, strict=True):

@@ -31,8 +31,8 @@ def parity(
 
     ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros;
     ``growth_s`` says how the noise grows with the rate (``runs.measured``); ``sources`` (n) names the source of each
-    gyro. The list is empty for fewer than four gyros or no common blocks, and leaves out a gyro that no combination of
-    the others checks.
+    gyro. A gyro is suspect from 5 sigma on in the mean over a second or more. The list is empty for fewer than four
+    gyros or no common blocks, and leaves out a gyro that no combination of the others checks.
     """
     names = [name for array in arrays for name in array.names]
     if len(names) < 4 or not all(len(b.index) for b in blocks):

@@ -129,7 +129,9 @@ def gauge_study(values: Floats, sd: Floats, parts: Sequence[str], conditions: Se
 
 
 def _moments(states: Floats, sd: Floats) -> tuple[Floats, Floats]:
-    """Return squares of states (runs, ...) about their weighted mean over runs, and the spread of the weights."""
+    """Return the weighted squares (...) of states (runs, ...) about their weighted mean over runs, and the spread of
+    the weights: by so much the squares grow per unit of variance between runs.
+    """
     weight = 1 / sd**2
     whole = weight.sum(axis=0)
     mean = (weight * states).sum(axis=0) / whole

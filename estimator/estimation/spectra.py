@@ -242,7 +242,7 @@ class GyroSpectra:
             self.products[numbers, :, bands] = border.transpose(2, 1, 0)
 
     def widen(self, count: int) -> None:
-        """Make room for ``count`` columns, the new ones zero; does nothing to columns if there are as many."""
+        """Make room for ``count`` columns, the new ones zero; does nothing if there are as many."""
         old, more = len(self.products), count - self.columns[0].shape[1]
         if more > 0:
             self.columns = [np.pad(own, ((0, 0), (0, more))) for own in self.columns]
@@ -251,7 +251,10 @@ class GyroSpectra:
             self.products = products
 
     def subtract(self, parts: Sequence[Floats]) -> None:
-        """Take a column (b, 1) of each stretch, in rad/s, off the output error."""
+        """Take a column (b, 1) of each stretch, in the time domain and in rad/s, off the output error.
+
+        Changes ``products`` in place, and replaces the items of ``columns``.
+        """
         for i, (stretch, bands, part) in enumerate(zip(self.stretches, self.bands(), parts, strict=True)):
             self.columns[i] = self.columns[i].copy()
             self.columns[i][:, Z] -= cosines(part)[:, 0] * (np.sqrt(stretch.length_s) / self.arw)
@@ -290,11 +293,12 @@ Z = 4
 
 
 def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) -> list[GyroSpectra]:
-    """Return every gyro of the runs, with the columns of its states and its output error; gyros without blocks are left
-    out.
+    """Return every gyro of the runs, with the columns of its states and its output error, over all stretches that are
+    long enough; gyros without any are left out.
 
     The white noise is the median over the upper half of the spectrum, where ramps and tones are few, and at least the
-    stated noise of turns. ``arw`` gives it by gyro instead (rad/s/rtHz), for runs of which much is left out.
+    stated noise of turns. ``arw`` gives it by name of the gyro instead (rad/s/rtHz), for runs of which much is left
+    out. A run whose white noise differs by more than chance has a ``level`` of its own.
     """
     names = list(dict.fromkeys(name for run in runs for name in run.array.names))
     alone = len({run.order for run in runs}) == 1 and not any(run.recording.several_files for run in runs)
@@ -329,8 +333,10 @@ def stretches_used(run: Run) -> list[slice]:
 
 
 def _levelled(turned: Sequence[Floats], stretches: Sequence[Stretch], white: float) -> list[Stretch]:
-    """Return stretches with ``level`` set to the white noise of their run over ``white``, 1 where the difference may be
-    chance.
+    """Return stretches with ``level`` set to the variance of the white noise of their run over that of ``white``, 1
+    where the difference may be chance.
+
+    ``turned`` has by stretch the cosine coefficients (b, 5) of states and output error.
     """
     levels = {}
     for run in {stretch.run for stretch in stretches}:
@@ -344,7 +350,7 @@ def _levelled(turned: Sequence[Floats], stretches: Sequence[Stretch], white: flo
 def _white(turned: Sequence[Floats], stretches: Sequence[Stretch]) -> float:
     """Return the angle random walk (rad/s/rtHz), the median of the residual in the upper half of the frequencies.
 
-    ``turned`` has by stretch the cosine coefficients (b, 5) of states and output error.
+    ``turned`` has by stretch the cosine coefficients (b, 5) of states and output error. It is at least 1e-9.
     """
     rows = np.vstack([np.sqrt(s.length_s) * part[len(part) // 2 :] for part, s in zip(turned, stretches, strict=True)])
     rest = rows[:, Z] - rows[:, :Z] @ np.linalg.lstsq(rows[:, :Z], rows[:, Z], rcond=1e-10)[0]

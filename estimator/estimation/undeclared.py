@@ -121,7 +121,10 @@ def _about_its_mean(effect: Effect) -> Effect:
 
 
 def _one_pose(run: Run) -> bool:
-    """Return whether a body that does not turn points the same way all the time, as far as that is known."""
+    """Return whether a body that does not turn points the same way all the time.
+
+    False for a body that turns. True also where the specific force is not known, or no block has weight.
+    """
     if run.turns:
         return False
     force = run.grid.specific_force_mps2
@@ -143,7 +146,7 @@ def moved_by(joint: Joint, undeclared: Undeclared) -> list[Floats]:
     """Return by gyro the covariance (4, 4) that the assumed laws add to the states (GUM 5.1.3).
 
     They depend on conditions that nobody measured, so that the residual says nothing about them, and they move no
-    value.
+    value. It is zero without assumed laws.
     """
     covariances = []
     for gyro in range(len(joint.means)):
@@ -223,7 +226,11 @@ def _effects(grid: Conditions) -> list[tuple[Effect, float]]:
 
 
 def _completed(grid: Conditions) -> Conditions:
-    """Return conditions with assumptions for unknown ones: level axes, and a temperature that rises."""
+    """Return conditions with assumptions for unknown ones: gravity along z, and a temperature that rises.
+
+    The specific force is assumed at each instant at which it is not finite, the temperature only if it is None. That
+    rises by ``_WARMS_K`` from ``REFERENCE_C``, with a time constant of ``_WARMS_S``.
+    """
     force = np.where(np.isfinite(grid.specific_force_mps2), grid.specific_force_mps2, [0.0, 0.0, GRAVITY_MPS2])
     temperature = grid.temperature_c
     if temperature is None:
@@ -232,7 +239,7 @@ def _completed(grid: Conditions) -> Conditions:
 
 
 def _acts(law: Law, runs: Sequence[Run]) -> bool:
-    """Return whether an effect does anything under these conditions."""
+    """Return whether an effect does anything to a gyro of the first run, under its conditions."""
     run = runs[0]
     return any(
         np.abs(run.columns(law.effect, i) * law.sd).max(initial=0.0) > _LEAST_COLUMN for i in range(len(run.array))

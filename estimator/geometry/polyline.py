@@ -27,7 +27,10 @@ def turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Float
 
 
 def modelled(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats, Floats]:
-    """Return angles and rates at instants (n,) as ``turned``, and their derivatives (2 n, parameters), angles first."""
+    """Return angles and rates at instants (n,) as ``turned``, and their derivatives (2 n, parameters), angles first.
+
+    The derivatives are those of angles and of scaled rates; the rates returned are not scaled.
+    """
     k = len(p) // 2 - 1
     corners, rates, scale = p[:k], p[k : 2 * k], p[-1]
     d_angle, d_rate = _slopes(corners, rates, t_s)

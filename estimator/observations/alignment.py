@@ -56,7 +56,7 @@ class Following:
     means: "_Means"
 
     def follows(self) -> Floats:
-        """Return the share (m,) of each output's variance that the line explains.
+        """Return the share (m,) of each output's variance that the line explains, 0 where none of it is known.
 
         Intervals that deviate far more than nearly all others are left out: there the reference jumps.
         """
@@ -82,7 +82,8 @@ class Following:
         """Return rows (3, m) for slow motion, where filters on either side do not matter: fitted with the rate's
         derivatives.
 
-        Means, or a controller that smooths its rates, make outputs look more or less sensitive to fast motion.
+        Means, or a controller that smooths its rates, make outputs look more or less sensitive to fast motion. Outputs
+        with too few intervals keep their row of ``rows``.
         """
         means = self.means.longer(max(_SLOW_S, self.means.length_s)) or self.means
         step_s = means.length_s
@@ -189,7 +190,8 @@ def delay_by_motion(data: ImuData, reference: Reference, site: Site | None) -> f
 def following(data: ImuData, reference: Reference, site: Site | None) -> Following | None:
     """Return how the outputs of a source follow a reference; None if the reference gives no rates or hardly turns.
 
-    The delay is searched for on a grid and refined; intervals near the ends of the range, or far off, are left out.
+    The delay is searched for on a grid and refined; intervals near the ends of the range, or far off, are left out. It
+    is remembered for ``delay_by_motion``, 0 for None.
     """
     found = _followed(data, reference, site)
     _DELAYS[data] = reference, site, 0.0 if found is None else found.delay_s
@@ -246,6 +248,8 @@ def body_turned(reference: Reference, site: Site | None) -> Turned | None:
 def _means(data: ImuData, body: Turned) -> _Means | None:
     """Return the mean outputs of a source and the motion of the body; None if there are too few valid samples or
     intervals.
+
+    Outputs that are mostly not finite are not used; samples at which another one is not finite are left out.
     """
     finite = np.isfinite(data.rate_rps)
     used = np.flatnonzero(finite.mean(axis=0) > 0.5)
@@ -259,7 +263,10 @@ def _means(data: ImuData, body: Turned) -> _Means | None:
 
 
 def _near_ends(outputs: Floats) -> Flags:
-    """Return as flags (n, m) which outputs are near the ends of their range."""
+    """Return as flags (n, m) which outputs are near the ends of their range: beyond 70 % of the way from the median.
+
+    NaN is not near.
+    """
     near = np.zeros(outputs.shape, dtype=np.bool_)
     for gyro, own in enumerate(outputs.T):
         known = own[np.isfinite(own)]

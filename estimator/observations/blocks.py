@@ -123,7 +123,8 @@ def block_squares(
 ) -> tuple[float, int]:
     """Return the squares of block residuals relative to white noise, summed, and their degrees of freedom.
 
-    Each ``file`` (B,) has its own bias, which does not count as scatter.
+    The residual is that of the encoded states ``x`` (m, 4), ``noise_rps`` (m,) the noise of one sample. If ``file``
+    (B,), the number of the file, has several values, each file has its own bias, which does not count as scatter.
     """
     regressors = np.column_stack([np.ones(len(blocks.index)), blocks.w_rps])
     rest = blocks.z_rps - np.einsum("rj,mij,mi->rm", regressors, regressor_maps(array), x)

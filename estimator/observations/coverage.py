@@ -87,7 +87,8 @@ def planned_coverage(readings: TableReadings) -> tuple[AxisCoverage, ...]:
 def _of_turnings(seen: Sequence[tuple[Stamps, Sequence[_Turning]]]) -> tuple[AxisCoverage, ...]:
     """Return for each axis that turned the span of time that all sources cover, from samples (n,) in ns and turnings.
 
-    Empty without sources; the span is None where the sources have none in common.
+    Empty without sources; the span is None where the sources have none in common. An axis turned if its fastest rate is
+    above that of rests, and is no mere leak of the fastest axis.
     """
     if not seen:
         return ()

@@ -71,7 +71,10 @@ def usable(data: ImuData, *, fine: bool, comparison: ReferenceComparison | None 
 
 
 def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
-    """Return a source in order of time without spikes and repetitions, and notes on its samples."""
+    """Return a source in order of time without spikes and repetitions, and notes on its samples.
+
+    Samples that are not finite stay; a note counts them, as excluded.
+    """
     data = _rows(data, np.argsort(data.t_ns, kind="stable"))
     kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)
     data = _rows(data, kept)
@@ -144,7 +147,10 @@ def _only(data: ImuData, channels: list[int], cut: Flags | None) -> ImuData:
 
 
 def at_limits(t_ns: Stamps, column: Floats, low: float, high: float) -> Flags:
-    """Return as flags (n,) which samples at instants (n,) are in or beside a run of an extreme value (low, high)."""
+    """Return as flags (n,) which samples at instants (n,) are in or beside a run of an extreme value (low, high).
+
+    A run counts if it is longer than 0.25 s, and than outputs repeat values elsewhere. Flags reach 0.5 s to each side.
+    """
     limited = np.zeros(len(column), dtype=bool)
     if len(column) < 3 or not (_repeats(column, low) or _repeats(column, high)):
         return limited

@@ -142,7 +142,7 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _cut(data: ImuData, poses: Poses) -> tuple[list[_Turn], list[Floats], Floats]:
-    """Return the turns between rests without gaps, the outputs (n, m) of each rest, and the rests' lengths (k,)
+    """Return the turns between rests that have no gaps, the outputs (n, m) of each rest, and the rests' lengths (k,)
     in s.
     """
     t_ns, rate = in_order(data)

@@ -67,7 +67,8 @@ def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
     """Yield rows of body rate and output at the samples that the table's readings cover; the reference must be a table.
 
-    Where the table tells only how far it turned, its rates are means over short intervals.
+    Where the table tells only how far it turned, its rates are means over short intervals. Samples whose body rate is
+    not known are left out.
     """
     reference = recording.table
     assert reference is not None, "rows against a table need one"
@@ -98,7 +99,10 @@ def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], 
 
 
 def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
-    """Return the rows of one source against a table or a rate, averaged by block from the first reading of that on."""
+    """Return the rows of one source against a table or a rate, averaged by block from the first reading of that on.
+
+    Without rows there are no blocks. AssertionError for any other reference.
+    """
     reference = recording.reference
     assert isinstance(reference, (TableReadings, RateReadings)), "blocks are against a table or a rate"
     t_ns = data.t_ns
@@ -110,7 +114,7 @@ def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S
 
 
 def _rate_rows(reference: RateReadings, data: ImuData) -> Iterator[Observations]:
-    """Yield rows against a rate: by sample, or as means if the readings are coarse."""
+    """Yield rows against a rate: by sample, or as means if the readings are coarse; nothing if no rate is known."""
     known = np.isfinite(reference.rate_rps).all(axis=1)
     if not known.any():
         return
@@ -127,9 +131,10 @@ def _between(reference: RateReadings, t_ns: Stamps) -> Floats:
 
 
 def mean_length_s(reference: RateReadings) -> float:
-    """Return the length of means over which to compare a rate reference: 0 for samples, more if its steps are coarse.
+    """Return the length in s of means over which to compare a rate reference: 0 for samples, more if it is coarse.
 
-    Errors of single readings, as of an encoder that counts per sample, would make every gyro look less sensitive.
+    Errors of single readings, as of an encoder that counts per sample, would make every gyro look less sensitive. It is
+    one of ``_MEANS_S``: the shortest in which these errors hardly count, else the longest. 0 for too few readings.
     """
     rate = reference.rate_rps
     differences = np.diff(rate, 4, axis=0)  # of a motion next to nothing is left; of white noise 70 times its variance
@@ -160,8 +165,10 @@ def row_length_s(recording: Recording, data: ImuData) -> float:
 
 
 def coarser(reference: Reference, data: ImuData) -> bool:
-    """Return whether an external reference is read too seldom to give the rate at each sample; False for a table with
-    rates.
+    """Return whether an external reference is read too seldom to give the rate at each sample.
+
+    False for a table with rates; True for an attitude, a table known by its turns, or fewer than two readings or
+    samples.
     """
     if not reference.by_turns:
         return False
@@ -173,7 +180,10 @@ def coarser(reference: Reference, data: ImuData) -> bool:
 
 
 def sample_noise(data: ImuData) -> Floats:
-    """Return the white noise of one sample of each channel (m,), from differences of neighbours."""
+    """Return the white noise of one sample of each channel (m,), from differences of neighbours.
+
+    It is at least that of rounding to the smallest step.
+    """
     # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
     rate = in_order(data)[1]
     quantum = _quantum(rate)
@@ -223,7 +233,8 @@ def turn_rows(data: ImuData, turns: Turns) -> tuple[Observations, list[int]]:
     """Return a row for each turn (mean rate by its angle, mean output, weight), and the indices of turns that have one.
 
     Means are over time, not samples, as external samples may be unevenly spaced. A weight of 1 is the noise of a sample
-    (``sample_noise``, of the worst channel). Turns with too few samples or gaps are left out.
+    (``sample_noise``, of the worst channel). Turns of fewer than two samples are left out; so are those with gaps, if
+    some samples of the source are not finite.
     """
     t_ns, rate = in_order(data)
     white, quantum = float(sample_noise(data).max()), _quantum(rate)

@@ -56,6 +56,8 @@ class Turned:
     def of_rates(cls, t_ns: NDArray[np.int64], rate_rps: Floats, longest_s: float | None = None) -> Self:
         """Return the integral of sampled rates (k, c), by cubics; intervals beside NaN or longer than ``longest_s`` are
         unknown.
+
+        Samples are put in order of time; of several at one instant the first counts.
         """
         order = np.argsort(t_ns, kind="stable")
         order = order[np.concatenate([[True], np.diff(t_ns[order]) > 0])]

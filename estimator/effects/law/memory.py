@@ -45,7 +45,10 @@ def played(values: Floats, width: float) -> Floats:
 
 
 def last_sign(values: Floats, limit: Floats | None = None) -> Floats:
-    """Return the sign (N,) of the last value beyond a limit, of the largest a twentieth; 0 before the first."""
+    """Return the sign (N,) of the last value of a size beyond ``limit``; 0 before the first.
+
+    The limit is (N,) or (), by default a twentieth of the largest size of all. Values that are not finite do not count.
+    """
     size = _finite_sizes(values)
     beyond = size > (LAST_SHARE * size.max(initial=0.0) if limit is None else limit)
     sign = np.where(beyond, np.sign(values), 0.0)

@@ -24,9 +24,10 @@ def calibrate_forces(
 ) -> tuple[tuple[ForceCalibration, ...], list[str]]:
     """Return the calibrations of the accelerometers by source, and notes.
 
-    Calibrated are accelerometers with a data sheet, on a table; those of which too little was recorded are excluded.
-    The ``effects`` of a model are estimated with the states; ModelError for one that cannot be. Without any
-    accelerometer to estimate them from, a note says so.
+    Calibrated are accelerometers with a data sheet, on a table; those of which too little was recorded are excluded. A
+    source none of whose accelerometers can be calibrated has a result without any, whose doubts give the reasons. The
+    ``effects`` of a model are estimated with the states; ModelError for one that cannot be. Without any accelerometer
+    to estimate them from, a note says so.
     """
     found: list[ForceCalibration] = []
     notes: list[str] = []
@@ -55,7 +56,10 @@ def calibrate_forces(
 
 
 def undetermined(calibration: ForceCalibration, prior: ForcePrior) -> list[str]:
-    """Return a sentence for each accelerometer with states whose sigmas are nearly those of the data sheet."""
+    """Return a sentence for each accelerometer with states whose sigmas are more than half of those of the data sheet.
+
+    It names these states.
+    """
     sentences = []
     for one in calibration.accelerometers:
         ratio = np.sqrt(np.diag(one.covariance) / prior.variances())
@@ -88,7 +92,7 @@ def usable_forces(recording: Recording) -> list[tuple[str, Checked]]:
 
 
 def _none(source: str, device: str, excluded: Sequence[Excluded], doubts: Sequence[str]) -> ForceCalibration:
-    """Return the calibration of a source none of whose accelerometers can be calibrated."""
+    """Return the calibration of a source none of whose accelerometers can be calibrated; arm and gravity are NaN."""
     nothing = np.zeros((0, 0))
     return ForceCalibration(
         source=source,

@@ -65,8 +65,9 @@ def estimate_forces(
 ) -> ForceCalibration:
     """Return the calibration of the accelerometers of a source on a table; ``noise`` is that of their data sheet.
 
-    The ``effects`` of a model are estimated with the states. Raises TooShort for too few samples beside readings of the
-    table, ModelError for an effect that cannot be estimated.
+    The ``effects`` of a model are estimated with the states, and so are the angles of axes that stand, if the encoders
+    round them. Doubts are outputs in steps that their noise does not average. Raises TooShort for too few samples
+    beside readings of the table, ModelError for an effect that cannot be estimated.
     """
     settled = _with_rest_angles(settle(recording, source, samples, noise, effects))
     joint = settled.joint
@@ -113,7 +114,10 @@ def estimate_forces(
 
 
 def _effect_values(settled: Settled, law: int, name: str) -> ForceEffectValues:
-    """Return the parameters of an effect of the model for each accelerometer."""
+    """Return the parameters of an effect of the model for each accelerometer, and their standard deviations.
+
+    ``law`` is the number of its law in the joint estimate.
+    """
     joint = settled.joint
     found = [_parameters(joint, law, number) for number in range(len(joint.means))]
     return ForceEffectValues(
@@ -135,9 +139,9 @@ def settle(
 ) -> Settled:
     """Return the joint estimate of the accelerometers of a source about the lever arm and the delay that it finds.
 
-    The arm and the delay are subtracted and estimated again until neither changes. With ``effects`` the states are
-    those at the mean temperature and in the middle of the run. Raises TooShort for too few samples beside readings of
-    the table.
+    The arm and the delay are subtracted and estimated again until neither changes, at most ``_MOST_STEPS`` times. With
+    ``effects`` the states are those at the mean temperature and in the middle of the run. Raises TooShort for too few
+    samples beside readings of the table, ModelError for an effect that the run cannot show.
     """
     gravity_mps2 = gravity_at(recording.site).value_mps2
     arm_m = np.zeros(3)
@@ -242,7 +246,8 @@ def _across(joint: Joint, first: int, second: int) -> Floats:
 def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
     """Return the contributions to the covariance of the states: noise, errors of the table, rounded angles.
 
-    The errors of the table count one after the other, each with what those before it leave.
+    The errors of the table count one after the other, each with what those before it leave; those without a law have no
+    line. Covariances are those of the decoded states.
     """
     covariance = joint.covariances[accelerometer]
     lines: list[Contribution] = []
@@ -273,9 +278,10 @@ def _covariance(joint: Joint) -> Floats:
 
 
 def _sample_noise(settled: Settled, samples: ForceSamples, accelerometer: int) -> float:
-    """Return the noise of one sample in m/s2, from neighbours at rest; from the white noise that was found if none are.
+    """Return the noise of one sample in m/s2, from differences of neighbours at rest.
 
-    While the table turns, its own errors are in the outputs.
+    With fewer than ``_FEWEST_STEPS`` of these it is taken from the white noise of the estimate. While the table turns,
+    its own errors are in the outputs.
     """
     output, t_ns = samples.output_mps2[:, accelerometer], samples.t_ns
     table = settled.run.recording.table

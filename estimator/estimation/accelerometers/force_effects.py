@@ -129,7 +129,7 @@ def _middle_s(conditions: Conditions) -> float:
 def _functions_of_force(conditions: Conditions, axes: Axes) -> Floats:
     """Return functions (N, 6) of the force along the sense axis that are none of the named ones: fourth to ninth order.
 
-    Legendre polynomials over +-1.2 g.
+    Legendre polynomials over +-1.2 g; a larger force counts as that.
     """
     x = np.clip(_along(conditions, axes)[0] / (1.2 * _G), -1.0, 1.0)
     return np.column_stack([np.polynomial.legendre.Legendre.basis(order)(x) for order in range(4, 10)])

@@ -80,7 +80,7 @@ def force_run(
     """Return the accelerometers of a source on a table as a run.
 
     The input is the specific force at a place ``arm_m`` (3,) from the point in which the axes meet, ``delay_s`` before
-    the stamps of the samples. TooShort with fewer than ``_FEWEST_BLOCKS`` blocks.
+    the stamps. Instants with any output NaN, or unknown motion, are left out. TooShort below ``_FEWEST_BLOCKS`` blocks.
     """
     table, data = recording.table, recording.sources[source]
     assert table is not None, "specific force is computed from the readings of a table"
@@ -146,7 +146,11 @@ def force_at_place(
 
 
 def _grouped(samples: ForceSamples) -> tuple[Stamps, Floats]:
-    """Return instants (q,) and outputs (q, a) as means over samples within ``_GROUP_S``; NaN with any that is NaN."""
+    """Return instants (q,) and outputs (q, a) as means over samples within ``_GROUP_S``; NaN with any that is NaN.
+
+    Samples that are further apart than that are returned as they are. Groups across a gap, and samples at the end that
+    make no full group, are left out.
+    """
     t_ns, outputs = samples.t_ns, samples.output_mps2
     if len(t_ns) < 2:
         return t_ns, outputs

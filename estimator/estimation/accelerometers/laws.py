@@ -62,7 +62,10 @@ def delay_law(expected_s: float, taken_off_s: float, arm_m: Floats) -> Law:
 
 
 def gravity_law(relative: float) -> Law:
-    """Return the law of an error of the assumed gravity, which no run on a table tells from the scale factors."""
+    """Return the law of an error of the assumed gravity, which no run on a table tells from the scale factors.
+
+    ``relative`` is its expected standard deviation, as a share of gravity; it is common to all accelerometers.
+    """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         """Return the output itself."""
@@ -72,7 +75,10 @@ def gravity_law(relative: float) -> Law:
 
 
 def level_law(expected_rad: float) -> Law:
-    """Return the law of a base that is not level: rotations about its x and y axes."""
+    """Return the law of a base that is not level: rotations about its x and y axes, common to all accelerometers.
+
+    ``expected_rad`` is the standard deviation of each.
+    """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         """Return the components along p of gravity turned with the base."""
@@ -84,7 +90,10 @@ def level_law(expected_rad: float) -> Law:
 
 
 def orthogonality_law(gimbals: Sequence[str], expected_rad: float) -> Law:
-    """Return the law of small rotations between each axis of a table and the next: of its directions and its zero."""
+    """Return the law of small rotations between each axis of a table and the next: of its directions and its zero.
+
+    It has three for each axis but the outermost, each with the standard deviation ``expected_rad``.
+    """
     names = [f"{about} before {axis}" for axis in gimbals[1:] for about in AXES]
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
@@ -103,7 +112,10 @@ def orthogonality_law(gimbals: Sequence[str], expected_rad: float) -> Law:
 
 
 def laws_of_table(gimbals: Sequence[str], *, level_rad: float, orthogonality_rad: float) -> list[Law]:
-    """Return the laws of the errors of a table that tilt gravity."""
+    """Return the laws of the errors of a table that tilt gravity, of these expected sizes.
+
+    That of orthogonality is left out for a table of one axis, and if its size is 0.
+    """
     laws = [level_law(level_rad)]
     if orthogonality_rad > 0 and len(gimbals) > 1:
         laws.append(orthogonality_law(gimbals, orthogonality_rad))
@@ -123,6 +135,8 @@ def laws_beside(
     """Return all laws beside the states, about the lever arm (3,) and the delay that were subtracted.
 
     ``prior`` is the data sheet, ``stated`` the uncertainty of the table, ``delay_sd_s`` what is expected of the delay.
+    Where no level is stated, ``UNSTATED_LEVEL_RAD`` is expected; an orthogonality that is not stated counts as perfect.
+    A stated gravity (of uncertainty 0) has no law.
     """
     level_rad = stated.level_rad if stated is not None and stated.level_rad else UNSTATED_LEVEL_RAD
     return [
@@ -150,7 +164,7 @@ def rest_angle_law(table: TableReadings) -> Law | None:
 def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
     """Return the law of the angles of axes that stand, for counts (g,) in rad, infinite for unknown ones.
 
-    None if no axis of a known count stands.
+    It has one parameter for each span in which an axis of a known count stands. None if there is no such span.
     """
     rounded = [place for place, count in enumerate(counts_rad.tolist()) if np.isfinite(count)]
     stands_ns = table.stands_ns
@@ -160,7 +174,7 @@ def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
     names = [f"{table.gimbals[place]} from {first_s:.1f} s" for place, first_s, _ in spans_s]
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        """Return the change of the output by the angle of each axis, while it stands."""
+        """Return the changes (N, spans) of the output by the angle of each axis that stands; 0 outside of the span."""
         changes = {}
         for place in rounded:
             unit = np.eye(3)[AXES.index(conditions.gimbals[place])]

@@ -32,8 +32,8 @@ class CoarseSteps:
 def coarse_steps(run: ForceRun) -> list[CoarseSteps]:
     """Return the outputs of a run in steps that their noise does not average.
 
-    The noise is what is seen while the input stays, less what rounding adds. Outputs whose input never stays are left
-    out.
+    The noise is what is seen while the input stays, less what rounding adds. Left out are outputs whose input never
+    stays, that never change, or whose usual change from sample to sample exceeds a step.
     """
     found = []
     for number, name in enumerate(run.array.names):
@@ -52,7 +52,10 @@ def coarse_steps(run: ForceRun) -> list[CoarseSteps]:
 
 
 def _steady_spans_s(run: ForceRun, force_mps2: Floats, step: float) -> list[tuple[float, float]]:
-    """Return the spans in s in which the force (b,) along an axis stays within a share of a step."""
+    """Return the spans in s in which the force (b,) along an axis stays within a share of a ``step`` in m/s2.
+
+    The force is compared with that at the beginning of a span. Spans of fewer than ``_FEWEST_BLOCKS`` are left out.
+    """
     spans = []
     first = 0
     for block in range(1, len(force_mps2) + 1):

@@ -47,7 +47,8 @@ def checked(data: ImuData, table: TableReadings) -> Checked:
     """Return the accelerometers of a source, each compared with gravity on the table before anything is estimated.
 
     Excluded, with the reason, are those that are dead or stuck, along another axis than stated, of the wrong sign or in
-    the wrong unit. Samples at a limit are left out.
+    the wrong unit; and all if they are not three and their axes are not stated. Odd samples are left out; single values
+    that are at a limit, stuck or beyond any force become NaN. Notes say so, and doubts what was stuck for a time.
     """
     assert data.accel_mps2 is not None
     assert data.accel_sheet is not None
@@ -179,7 +180,8 @@ def _held(t_ns: Stamps, output: Floats, expected: Floats) -> Flags:
 
 
 def _longest_equal(t_ns: Stamps, equal: Flags, expected: Floats) -> float:
-    """Return how many neighbours in a row are never equal by chance; infinite where nothing changes at rest.
+    """Return how many neighbours in a row are never equal by chance; infinite if the force never stays, or the output
+    does not change while it does.
 
     ``equal`` (n - 1,) flags samples that equal the one before. Their share where the force stays is that of most parts
     of ``_HELD_S``, so that what is stuck for a time does not pass for quiet. Outputs that repeat each value a few times

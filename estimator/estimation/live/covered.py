@@ -11,8 +11,9 @@ _MARGIN_NS = 100_000_000  # samples may be later than their stamps by this
 def covered_blocks(t_ns: Stamps, rates: BodyRates, rows: int, *, flush: bool) -> tuple[list[slice], int]:
     """Return the blocks of ``rows`` samples that the readings cover, and the number of the first sample to keep.
 
-    ``t_ns`` (n,) are the instants of the samples that wait, in order. With ``flush``, for the end of a run, the
-    last block may be shorter. Samples before the first known rate are in no block and not kept. No block, and all kept,
+    ``t_ns`` (n,) are the instants of the samples that wait, in order. Samples of the last 0.1 s of the readings wait,
+    because samples may be later than their stamps. With ``flush``, for the end of a run, they do not, and the last
+    block may be shorter. Samples before the first known rate are in no block and not kept. No block, and all kept,
     while no rate is known.
     """
     if rates.starts_ns > rates.final_until_ns:

@@ -184,7 +184,10 @@ class LiveForces:
             return tuple(self.recent)
 
     def take_history(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return by group the columns kept since the last call; empty for fewer than ``fewest`` blocks."""
+        """Return by group ("force_innovation", "force_estimate") the columns kept since the last call, and forget them.
+
+        Empty for fewer than ``fewest`` blocks, which then stay for the next call.
+        """
         with self.lock:
             if len(self._history["force_innovation"]) < fewest:
                 return {}
@@ -216,7 +219,9 @@ class LiveForces:
     def _update(self, rates: BodyRates, part: slice) -> None:
         """Update filter and history with the samples in ``part``.
 
-        An accelerometer that turns out not to be what is stated is taken out of the filter, with all that it gave.
+        An accelerometer that turns out not to be what is stated is taken out of the filter, with all that it gave. The
+        delay and the arm about which outputs are linearised follow the estimate in a few steps, and stay for the next
+        block. Samples that are left out are noted; a block without others changes neither filter nor history.
         """
         t_ns, y = self._t[part], self._y[part]
         found = self.problem.at(rates, t_ns, self._about)
@@ -318,7 +323,7 @@ class LiveForces:
                 self._updated(_Rows(z=self._kept[i][:, -1], h=h, counts=tuple(counts)))
 
     def _note_unused(self, t_ns: Stamps, usable: Flags) -> None:
-        """Note the spans of samples of each accelerometer that were left out."""
+        """Note the spans of samples of each accelerometer that were left out; nothing for one that is excluded."""
         for i, judge in enumerate(self._judges):
             if judge.excluded or usable[:, i].all():
                 continue

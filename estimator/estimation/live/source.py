@@ -82,7 +82,10 @@ class History:
         self._kept[group].append(*(np.array([value]) for value in row))
 
     def take(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return by group the columns kept since the last call; empty for fewer than ``fewest`` blocks."""
+        """Return by group ("innovation", "estimate") the columns kept since the last call, and forget them.
+
+        Empty for fewer than ``fewest`` blocks, which then stay for the next call. A group without rows is left out.
+        """
         if len(self._kept["innovation"]) < fewest:
             return {}
         return {group: rows.take() for group, rows in self._kept.items() if len(rows)}
@@ -304,7 +307,7 @@ def model_sha256(model: ErrorModel | None) -> str:
 
 
 def _rate_hz(data: ImuData) -> float:
-    """Return the sample rate of a source: the stated one, else that of its stamps."""
+    """Return the sample rate of a source in Hz: the stated one, else that of its stamps, else one sample a block."""
     if data.rate_hz is not None:
         return data.rate_hz
     period_s = float(np.median(np.diff(data.t_ns))) * 1e-9 if len(data.t_ns) > 1 else 0.0

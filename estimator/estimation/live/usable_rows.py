@@ -37,8 +37,10 @@ class UsableRows:
     def judge(self, output_mps2: Floats, error_mps2: Floats, plausible_mps2: Floats) -> Flags:
         """Return as flags (n,) the outputs of the next block that can be used.
 
-        ``error_mps2`` (n,) are their errors, ``plausible_mps2`` (n,) their standard deviations by the data
-        sheet. Of outputs that the device repeats as a rule, the first of each run counts.
+        ``error_mps2`` (n,) are their errors, NaN where not known, ``plausible_mps2`` (n,) their standard deviations by
+        the data sheet. Left out are outputs without a number or a known error, stuck ones, and those beyond the data
+        sheet; all of a block in which more than a fifth is beyond, and all from the third such block in a row on. Of
+        outputs that the device repeats as a rule, the first of each run counts. Sets ``reason`` and ``excluded``.
         """
         numbers = np.isfinite(output_mps2)
         known = np.isfinite(error_mps2)

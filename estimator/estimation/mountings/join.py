@@ -253,7 +253,8 @@ def _forces(
 ) -> tuple[ForceCalibration, ...]:
     """Return the calibrations of the accelerometers by source; places differ between mountings and become NaN.
 
-    Excluded are accelerometers that any run could not estimate, even where others could.
+    Gravity is NaN if the runs were made at places of several. Excluded are accelerometers that any run could not
+    estimate, even where others could.
     """
     calibrations = []
     for source in dict.fromkeys(forces.source for run in runs for forces in run.forces):
@@ -295,7 +296,7 @@ def _excluded(runs: Sequence[_Run], source: str) -> tuple[Excluded, ...]:
 
 
 def _mean_offset(offsets: Sequence[TimeOffset]) -> TimeOffset | None:
-    """Return the delay that several runs have found, weighted by their variances; None if none has."""
+    """Return the mean delay of several runs, weighted by their variances; None without any, or if one has no sigma."""
     weights = np.array([1 / offset.sd_s**2 for offset in offsets if offset.sd_s > 0])
     if len(weights) < max(len(offsets), 1):
         return None

@@ -39,7 +39,7 @@ def places_of(sites: Sequence[Site | None]) -> Places:
 
 
 def gravity_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return a sentence that names gravity by recording, where the recordings do not have one."""
+    """Return a sentence that names gravity by recording; an empty list if all have the same, to five decimals."""
     names: dict[str, list[str]] = {}
     for one in recordings:
         names.setdefault(f"{gravity_at(one.site).value_mps2:.5f} m/s2", []).append(one.name)

@@ -38,7 +38,8 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
     """Return the sources of a recording as runs, notes on what was left out, and faults of the data.
 
     Blocks last ``block_s``, longer in long recordings. A source gives several runs where faulty samples divide it; runs
-    with too few blocks are left out. ``order`` is the number of the recording among all.
+    with too few blocks are left out. ``order`` is the number of the recording among all. If two sources have gyros of
+    the same name, all names get that of their source in front. Values held over several samples are faults, too.
 
     Raises InvestigationError if the reference is gravity, or no run is left.
     """
@@ -107,9 +108,9 @@ def run_of(recording: Recording, source: str, data: ImuData) -> Run | None:
 def _run(recording: Recording, source: str, data: ImuData, block_s: float, order: int, held: int) -> Run | None:
     """Return one source as a run of block means, None with too few; of a recording of turns each turn or rest is one.
 
-    Blocks last about ``block_s``; blocks without samples are filled in with weight 0. ``order`` is the place of the run
-    among others, ``held`` the number of samples for which each value is held. At rest the output errors are means over
-    the samples.
+    Blocks last about ``block_s``; in gaps of up to 5 s blocks without samples are filled in with weight 0, longer ones
+    divide stretches. ``order`` is the place of the run among others, ``held`` the number of samples for which each
+    value is held. At rest the output errors are means over the samples.
     """
     if recording.turns is not None:
         return _run_of_turns(recording, recording.turns, source, data, order)
@@ -203,7 +204,8 @@ def _unknown_earth(run: Run) -> dict[str, Any]:
 def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:
     """Return turns and rests as a run with one block each, None for fewer than ``FEWEST_TURNS``.
 
-    The rate within a turn is that of the gyros, with the mean that the reference states.
+    The rate within a turn is that of the gyros, with the mean that the reference states. Turns, not rests, weigh less
+    if they scatter more than stated.
     """
     rows, which = turn_rows(data, turns)
     if len(which) < FEWEST_TURNS:
@@ -252,9 +254,10 @@ def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData
 
 
 def _more_than_stated(run: Run) -> float:
-    """Return by what factor (at least 1) turns are less accurate than stated.
+    """Return by what factor (at least 1) turns are less accurate than stated, one for all.
 
-    It is the scatter that remains after laws of scale factor and temperature are fitted, over the stated noise.
+    It is the scatter that remains after laws of scale factor and, if it was measured, of temperature are fitted, over
+    the stated noise. A turn counts for the gyros about whose axis more than half of it is.
     """
     known = [SCALE_ASYMMETRY, SCALE_QUADRATIC, SCALE_CUBIC]
     known += [THERMAL_SCALE, THERMAL_BIAS] if run.grid.temperature_c is not None else []

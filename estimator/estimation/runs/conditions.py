@@ -36,8 +36,9 @@ def conditions_by_turns(
 ) -> Conditions:
     """Return conditions whose rate and acceleration are those of whole blocks, ``steps`` instants to a block.
 
-    ``w_rps`` (b, 3) are the mean rates. Table readings give the angle of the first axis too. The specific force is that
-    of the axis if there is no accelerometer, else that of ``force_at``.
+    ``w_rps`` (b, 3) are the mean rates. Table readings give the gimbals too, and the angle of the first of them;
+    without these there are no gimbals. The specific force is that of ``force_at``, but with table readings and no
+    accelerometer that at this angle. Accelerations are 0 where the motion is not known.
     """
     reference = recording.reference
     body = Turned.of_reference(reference, recording.site)
@@ -81,8 +82,8 @@ def temperature_at(data: ImuData, grid_s: Floats) -> Floats | None:
 def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> Floats:
     """Return the temperature at the instants ``grid_s``, smoothed over ten seconds because readings come in steps.
 
-    Fewer than four such means are only interpolated. Jumps are not smoothed. Outside the readings the temperature goes
-    on in a straight line.
+    With fewer than four such means the readings are only interpolated, and constant outside. Jumps are not smoothed.
+    Outside the means the temperature goes on in a straight line.
     """
     width = 10.0
     edges = np.arange(t_s[0], t_s[-1] + width, width)
@@ -113,7 +114,8 @@ def force_at(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
     """Return the specific force (N, 3) in body axes, in m/s^2: from the attitude if the reference has one, else the
     accelerometer.
 
-    The accelerometer's is smoothed. NaN where there is neither.
+    The accelerometer's is smoothed. Outside the readings the first or last one holds. All NaN if there is neither, or
+    no sample of the accelerometer is finite.
     """
     attitude = recording.reference.attitude
     if attitude is not None:

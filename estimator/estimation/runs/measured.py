@@ -53,7 +53,8 @@ class _Measured:
 def means_by_samples(recording: Recording, data: ImuData, block_s: float) -> _Measured | None:
     """Return block means over samples, with the body rate of a table at each sample; None if no sample is covered.
 
-    ``past_rps`` averages the rate over groups of neighbouring samples, which is faster.
+    A block is full from half the usual number of samples on. ``past_rps`` averages the rate over groups of neighbouring
+    samples, which is faster; before the first and after the last reading it takes the rate there.
     """
     table = recording.table
     assert table is not None, "samples are compared with the readings of a table"
@@ -101,7 +102,8 @@ def means_by_turns(recording: Recording, data: ImuData, block_s: float) -> _Meas
     """Return block means of body rate and outputs from how far both turned over the same intervals; None below two
     samples.
 
-    If the body moves, both are smoothed over the coarser of their periods first, and blocks are short.
+    If the body moves, both are smoothed over the coarser of their periods first, and blocks are short. Blocks in which
+    either is not known are left out; all others count as full.
     """
     if len(data.t_ns) < 2:
         return None

@@ -42,7 +42,7 @@ def tone_columns(frequency_hz: float, run: Run, samples: Samples) -> Floats:
 def means_of(run: Run, t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return the means (b, c) of values (n, c) over the blocks of a run, and the number of values in each (b, 1).
 
-    The mean of a block without values is 0.
+    The mean of a block without values is 0. Values outside all blocks are left out.
     """
     start_s = run.t_s[0] - 0.5 * run.length_s
     number = np.floor((t_s - start_s) / run.length_s + 1e-9).astype(np.intp)

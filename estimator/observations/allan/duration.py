@@ -17,8 +17,8 @@ def record_length_s(noise: NoiseTerms, term: int, share: float) -> float:
     """Return the length of one rest after which the relative standard uncertainty of a term is ``share``; inf if too
     long.
 
-    From the Fisher information of the series under the estimated noise (Cramer-Rao). A term that was not seen is
-    assumed to have its upper limit.
+    ``term`` is its number, 0 to 2 for N, B and K. From the Fisher information of the series under the estimated noise
+    (Cramer-Rao). A term that was not seen is assumed to have its upper limit. The result is never below 32 means.
     """
     sizes = noise.values
     found = (noise.n, noise.b, noise.k)[term]
@@ -43,6 +43,7 @@ def relative_uncertainty(sizes: Floats, term: int, span_s: float, mean_s: float)
     """Return the relative standard uncertainty of a term after one rest of length ``span_s``.
 
     The rest is treated as means over ``mean_s``. ``sizes`` (3,) are N, B and K; one that is 0 counts as known to be 0.
+    ``term`` is the number of one that is not.
     """
     bands = _bands(max(int(span_s / mean_s), 2), mean_s)
     squares = sizes[None, :] ** 2

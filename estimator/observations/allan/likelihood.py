@@ -39,7 +39,10 @@ class Bands:
         return replace(self, sums=np.where(dropped, 0.0, self.sums), counts=np.where(dropped, 0.0, self.counts))
 
     def deviance(self, squares: Floats) -> Floats:
-        """Return minus twice the log likelihood (p,) of squares (p, 3), but for a constant."""
+        """Return minus twice the log likelihood (p,) of squares (p, 3), but for a constant.
+
+        Infinite where a band with coefficients would have no variance.
+        """
         variance = squares @ self.shapes.T
         with np.errstate(divide="ignore", invalid="ignore"):
             parts = self.counts * np.log(variance) + self.sums / variance

@@ -109,7 +109,10 @@ def noise_terms(stretches: Sequence[Floats], period_s: float) -> list[NoiseTerms
 
 
 def _bands_of(stretches: Sequence[Floats], period_s: float, width: int) -> tuple[Floats, Bands]:
-    """Return the frequencies (b,) of the bands of all stretches, and their sums of squares."""
+    """Return the frequencies (b,) in Hz of the bands of all stretches, and their sums of squares.
+
+    Each stretch (n, m) has bands of its own, of the means over ``width`` samples; the mean of a stretch is in none.
+    """
     from scipy.fft import dct
 
     hz: list[Floats] = []
@@ -176,8 +179,8 @@ def _unexplained(bands: Bands, hz: Floats, squares: Floats) -> tuple[float | Non
     """Return the middle in Hz of the octave that deviates most from the fit, and by which factor; None and 1 if none
     does.
 
-    ``hz`` (b,) are the frequencies of the bands, ``squares`` (3,) those of the fitted terms. The factor is one of the
-    density's root.
+    ``bands`` are those of one sensor, at the frequencies ``hz`` (b,); ``squares`` (3,) are those of the fitted terms.
+    Octaves of few coefficients are not judged. The factor is one of the density's root.
     """
     octave = np.floor(np.log2(hz)).astype(int)
     worst, found, factor = _UNLIKE, None, 1.0

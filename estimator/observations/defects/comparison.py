@@ -134,7 +134,10 @@ def _median(values: Floats) -> float:
 
 
 def _thinned(data: ImuData) -> tuple[Floats, Floats]:
-    """Return instants (n,) in s and outputs (n, m), averaged over neighbours to a limited number of rows."""
+    """Return instants (n,) in s and outputs (n, m), averaged over neighbours to a limited number of rows.
+
+    Means across a gap, and samples at the end that fill none, are left out. A short recording is not averaged.
+    """
     t_s = np.asarray(data.t_ns * 1e-9, dtype=np.float64)
     width = -(-len(t_s) // _MOST)
     if width <= 1:

@@ -141,7 +141,10 @@ def split_faulty(data: ImuData) -> list[ImuData]:
 
 
 def saturations(notes: Sequence[str], data: ImuData) -> list[Fault]:
-    """Return a fault for each gyro whose outputs reach a limit, by the notes on its channels."""
+    """Return a fault for each gyro whose outputs reach a limit, by the notes on its channels.
+
+    The limit is the largest size of its outputs.
+    """
     faults = []
     for i, name in enumerate(data.array.names):
         if any(note.startswith(f"{name}: saturates") for note in notes):

@@ -27,7 +27,9 @@ _USUAL, _SIGMAS = 0.9, 1.645  # quantile of the differences that shows the usual
 def without_glitches(recording: Recording, data: ImuData, line: Following) -> tuple[Recording, list[str]]:
     """Return a recording without the reference readings that are wrong for moments, and notes on them.
 
-    The recording is unchanged if the reference does not allow this, if there are none, or if too many differ.
+    The angles of a table lose the wrong steps, and its rates are derived anew; attitudes or rates become NaN. The
+    recording is unchanged, without notes, if the reference does not allow this, if there are none, or if too many
+    differ. ``line`` is how the outputs follow the reference.
     """
     reference = recording.reference
     if not reference.by_turns or len(line.turned.t_s) < 3 or not np.isfinite(data.rate_rps).any():

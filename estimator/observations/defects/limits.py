@@ -68,7 +68,10 @@ def _without_spikes(values: Floats) -> Floats:
 
 
 def _upper(output: Floats, expected: Floats, scatter: float) -> tuple[float, float] | None:
-    """Return the upper limit of outputs (n,) relative to their median, and its width; None if there is none."""
+    """Return the upper limit of outputs (n,) and its width, both relative to their median; None if there is none.
+
+    None, too, if too few outputs ought to be beyond it, or the output does not follow the rate below it.
+    """
     top = float(output.max())
     beyond = expected > top + _BEYOND * scatter
     if beyond.sum() < _FEWEST:

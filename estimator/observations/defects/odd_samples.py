@@ -22,7 +22,7 @@ def without_odd(
     """Return the rows (k,) of values (n, c) at ``t_s`` (n,) that are neither spikes nor repetitions, and notes on the
     others.
 
-    ``quantity`` and ``names`` of the columns are for the notes.
+    A row with a spike in any column is one. ``quantity`` and ``names`` of the columns are for the notes.
     """
     far = np.column_stack([spikes(column) for column in values.T]) if values.size else np.zeros(values.shape, bool)
     spiked, again = np.asarray(far.any(axis=1)), repeats(values)
@@ -42,7 +42,7 @@ def spikes(column: Floats) -> Flags:
 
     Values that stand for several rows count once. The usual distance is the median on the side where it is larger, so
     that the beginning of a motion is not a spike. If many values are half as far, as in a tail of noise or shaking,
-    none is.
+    none is; nor of fewer than 100 values. NaN is none.
     """
     flags = np.zeros(len(column), dtype=np.bool_)
     steps = np.abs(np.diff(column))

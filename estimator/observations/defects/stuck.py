@@ -16,7 +16,7 @@ _BY_CHANCE, _FEWEST_EQUAL = 1e-6, 4.0  # that so many samples in a row are equal
 
 
 def longest_by_chance(alike: float) -> float:
-    """Return how many samples in a row are equal by chance; infinite where nothing changes.
+    """Return how many samples in a row are equal by chance, at least four; infinite where nothing changes.
 
     ``alike`` is the probability that a sample equals the one before.
     """
@@ -28,7 +28,8 @@ def longest_by_chance(alike: float) -> float:
 def stuck_doubts(recording: Recording) -> list[str]:
     """Return sentences on the sources that repeated old samples while the table turned differently, and when.
 
-    Empty without a table.
+    They repeat them for more than a second, in which the rate about a sense axis changes by more than 1 deg/s. Empty
+    without a table.
     """
     table = recording.table
     if table is None:
