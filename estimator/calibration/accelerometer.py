@@ -42,7 +42,10 @@ class AccelerometerCalibration:
         return np.sqrt(np.diag(self.covariance))
 
     def turned(self, axes: Floats) -> "AccelerometerCalibration":
-        """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3)."""
+        """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3).
+
+        Axes and place are turned; the states belong to the axes and stay.
+        """
         return replace(
             self,
             p=self.p @ axes,
@@ -123,7 +126,10 @@ class ForceCalibration:
     effects: tuple[ForceEffectValues, ...] = ()
 
     def turned(self, axes: Floats) -> "ForceCalibration":
-        """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3)."""
+        """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3).
+
+        The accelerometers and the lever arm are turned; states and their covariance stay.
+        """
         return replace(
             self,
             accelerometers=tuple(one.turned(axes) for one in self.accelerometers),

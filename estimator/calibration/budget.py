@@ -50,8 +50,9 @@ def merged(lines: Sequence[Contribution]) -> tuple[Contribution, ...]:
 def table_budget(
     readings: TableReadings, site: Site | None, array: SensorArray, prior: Prior, arw_rps_rthz: Floats
 ) -> list[tuple[Contribution, ...]]:
-    """Return the contributions of the table for each gyro; none if the table states no uncertainty or has too few
-    readings.
+    """Return the contributions of the table for each gyro, one for each of ``KINDS``.
+
+    Without any for each if the table states no uncertainty or has fewer than eight readings.
 
     ``arw_rps_rthz`` (m,) only determines the weight of the prior relative to the data, as in the estimate itself.
     """

@@ -108,8 +108,8 @@ def read_calibration(path: Path | str, *, trusted: bool = False) -> Calibration:
     """Return the calibration stored in the group /calibration of a recording.
 
     Not stored, and so missing: correlations within a line of the budget (its covariance is diagonal), the noise at rest
-    (``rest`` is None), and the parity of redundant gyros. ``trusted`` skips the probe, for a file that this process has
-    read already.
+    (``rest`` is None), and the parity of redundant gyros. A recording whose run died is recovered first, and probed.
+    ``trusted`` skips both, for a file that this process has read already.
 
     RecordingError if the file cannot be read, or holds no calibration or a damaged one; ModelError if its error model
     is of another version.

@@ -119,7 +119,7 @@ def _conditions(
     """Return the conditions for correcting N samples: causal, without a table.
 
     ``w_rps`` (N, 3) is the rate of the body, ``wdot_rps2`` (N, 3) its derivative, zero if not given. ``temperature_c``
-    (N,) is None if unknown; the specific force ``accel_mps2`` (N, 3) becomes NaN then.
+    (N,) stays None if unknown; the specific force ``accel_mps2`` (N, 3) becomes NaN if it is None.
     """
     none = np.empty((len(t_s), 0))
     force = np.full((len(t_s), 3), np.nan) if accel_mps2 is None else accel_mps2

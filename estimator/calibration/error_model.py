@@ -150,7 +150,10 @@ class ErrorModel:
         return not self.effects and not self.forces
 
     def made(self, gimbals: Sequence[str], offers: frozenset[str]) -> list[Effect]:
-        """Return the effects for a recording with the data in ``offers``; ModelError if one needs more."""
+        """Return the effects for a recording with the data in ``offers``, in the order of ``self.effects``.
+
+        ModelError if one needs more, or does not fit a table with these ``gimbals``.
+        """
         effects = [known.effect(gimbals) for known in self.effects]
         for what, remedy in _REMEDIES.items():
             lacking = [known.called for known, e in zip(self.effects, effects, strict=True) if what in e.needs - offers]
@@ -210,7 +213,10 @@ class ErrorModel:
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
-        """Return the model in a file: JSON, or the HDF5 file of an investigation. ModelError if it holds none."""
+        """Return the model in a file: JSON, or the HDF5 file of an investigation.
+
+        ModelError if it is no file, cannot be read, or holds no model (``parse``).
+        """
         path = Path(path)
         try:
             if not path.is_file():

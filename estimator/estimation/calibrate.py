@@ -52,7 +52,7 @@ def calibrate(
     do unseen; not for None. Defective gyros are left out and listed in the result. Accelerometers are calibrated too.
 
     Raises RecordingError if a source has no samples the reference covers, no gyro can be estimated, or memory is too
-    small; ModelError if the recording lacks what the model needs.
+    small; ModelError for any model beside poses, and if the recording lacks what the model needs.
     """
     if model is not None:
         check_model(model, recording)
@@ -209,7 +209,7 @@ def _gyros(recording: Recording, estimate: SourceEstimate) -> list[GyroCalibrati
 
     The uncertainty of the table is added only for table readings. A line that the estimate holds already (the time
     offset) replaces the line of that name which the table states. Noise at rest is sought with a table, or for a body
-    at rest; ``rest`` is None otherwise.
+    at rest; ``rest`` is None otherwise, and where rests give none.
     """
     data, m = estimate.data, len(estimate.data.array)
     table: list[tuple[Contribution, ...]] = [()] * m

@@ -222,8 +222,7 @@ class Evidence:
     def posterior(self, terms: Sequence[Term], weight: Floats | None = None) -> Posterior:
         """Return the estimate of states and effects, averaged over the noise models that matter.
 
-        ``weight`` are the probabilities of the noise models: (G,) for all gyros alike, (G, gyros) for each gyro its
-        own; by default ``noise_weight`` of these terms.
+        ``weight`` is their probability: (G,) for all gyros, (G, gyros) for each; by default that beside these terms.
         """
         weight = self.noise_weight(terms) if weight is None else weight
         each = np.broadcast_to(weight.reshape(len(weight), -1), (len(weight), len(self.gyros)))
@@ -301,8 +300,7 @@ class Base:
     def products(self, rows: Numbers, columns: Numbers) -> Floats:
         """Return the products of columns that states and own terms leave, (gyros, G, K, r, c).
 
-        ``rows`` (K, r) and ``columns`` (K, c) are column numbers; each of the K sets of rows is paired with one of
-        columns.
+        ``rows`` (K, r) and ``columns`` (K, c) are column numbers; each set of rows is paired with one of columns.
         """
         across = self._across[..., self._place[rows]].transpose(0, 1, 3, 4, 2)
         gain = self._gain[..., self._place[columns]].transpose(0, 1, 3, 2, 4)

@@ -423,7 +423,8 @@ def _sample_noise_of(blocks: Blocks, data: ImuData, x: Floats) -> Floats:
 def _lines(joint: Joint, covariance: Floats) -> tuple[Contribution, ...]:
     """Return the contributions to the covariance (4, 4) of the states: noise first, then each line that the laws name.
 
-    A line contributes what would vanish if its laws were known; each in turn, so that nothing counts twice.
+    A line contributes what would vanish if its laws were known; each in turn, so that nothing counts twice. Laws
+    without a line count as noise.
     """
     known: list[int] = []
     known_before, lines = np.zeros((4, 4)), []

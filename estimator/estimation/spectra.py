@@ -108,8 +108,9 @@ class NoiseShapes:
     ) -> "NoiseShapes":
         """Return the noise models that a recording of length ``span_s``, or ``several``, can tell apart.
 
-        ``stated`` is the noise of a data sheet, which makes models near it likelier. ``finely`` takes finer steps for
-        biases from recording to recording, for estimates in which these are the noise of the states.
+        ``stated`` is the noise of a data sheet, which makes models near it likelier. Biases differ from recording to
+        recording only with ``several``; ``finely`` takes finer steps for these, for estimates in which they are the
+        noise of the states.
         """
         arw = stated.arw if stated is not None else 0.0
         ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)

@@ -162,7 +162,8 @@ class _Means:
 def _least(columns: Floats, output: Floats, step_s: float) -> Floats:
     """Return the least-squares factors (10,) of [1, rate, first, second differences] (n, 10) for an output (n,).
 
-    The second derivative of a single swing resembles the swing: what cannot be separated is attributed to the rate.
+    The second derivative of a single swing resembles the swing: what cannot be separated is attributed to the rate. An
+    axis that hardly turns has the factor 0. ``step_s`` is the distance of the rates whose differences are taken.
     """
     size = np.sqrt(np.mean(columns**2, axis=0))
     of_axes = np.max(size[1:].reshape(3, 3), axis=1)  # of the rate, its first and its second differences
@@ -287,7 +288,10 @@ def _columns(means: _Means, delay_s: float) -> tuple[Floats, Flags, Floats]:
 
 
 def _weights(w: Floats) -> tuple[Flags, Floats]:
-    """Return for body rates (d, 3, n) which are known (d, n), and their weights (d, n), 0 elsewhere."""
+    """Return for body rates (d, 3, n) which are known (d, n), and their weights (d, n), 0 elsewhere.
+
+    The weight is 1 for the lower nine tenths of the speeds, and falls in inverse proportion to the speed above these.
+    """
     x, y, z = w.transpose(1, 0, 2)
     speed = np.sqrt(x * x + y * y + z * z)
     known = np.isfinite(speed)
@@ -417,7 +421,8 @@ def _quantile(distances: Floats, inner: Flags, share: float) -> Floats:
 def _nearer(means: _Means, delay_s: float, distances: Floats, inner: Flags, distance: Floats) -> Flags:
     """Return as flags (n, m) which intervals are within ``distance`` (m,) of the line, or within a share of their rate.
 
-    The share is for a body that mostly rests and turns briefly: otherwise its rests alone would decide.
+    Only intervals of ``inner`` (n, m) whose deviation in ``distances`` (n, m) is known may be so. The share is for a
+    body that mostly rests and turns briefly: otherwise its rests alone would decide.
     """
     speed = np.linalg.norm(means.rates(delay_s), axis=1)
     allowed = np.maximum(distance, _ALLOWED * np.nan_to_num(speed)[:, None])

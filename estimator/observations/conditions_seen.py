@@ -31,7 +31,7 @@ def holds_for(recording: Recording) -> str:
 def _rates_rps(recording: Recording) -> list[Floats]:
     """Return the rates (k,) about x, y, z: of the axes of a table, of turns, of a reference, else of the gyros.
 
-    An axis that a table does not have rests.
+    An axis that a table does not have rests. Of several sources the gyros of the first give the rates.
     """
     table = recording.table
     rates = recording.reference.external_rates()

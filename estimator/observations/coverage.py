@@ -145,7 +145,10 @@ def coverage_of(values: Mapping[str, Any]) -> AxisCoverage:
 
 
 def not_proved(axes: Sequence[AxisCoverage]) -> str:
-    """Return a few words, for a verdict, on the axes or times without proof of constancy; "" if nothing turned."""
+    """Return a few words for a verdict: the axes without proof of constancy, else the time for which all have it.
+
+    All axes are named if they have no such time in common; "" if nothing turned.
+    """
     if weak := [one.axis for one in axes if not one.proved]:
         return sentence("observations.constancy_not_proved", axes=", ".join(weak))
     covered = [one.covered_s for one in axes if one.covered_s is not None]
@@ -159,7 +162,7 @@ def not_proved(axes: Sequence[AxisCoverage]) -> str:
 
 
 def coverage_notes(axes: Sequence[AxisCoverage]) -> list[str]:
-    """Return a note on the axes without proof of constancy, with what to do; empty if there are none."""
+    """Return one note on all axes without proof of constancy, with what to do; an empty list if there are none."""
     weak = [one for one in axes if not one.proved]
     if not weak:
         return []

@@ -22,8 +22,8 @@ _SELDOM = 1e-3  # that k may be off by
 def external_motion_notes(recording: Recording) -> list[str]:
     """Return sentences on what the motion measured by a rate or attitude reference leaves unobserved.
 
-    That is everything for a body at rest, and the other axes for one or two axes of turning; empty for other
-    references.
+    That is everything for a body at rest, and the other axes for one or two axes of turning. Empty for a body that
+    turns about three, without a finite rate, and for other references.
     """
     if recording.reference.at_rest:
         return [sentence("observations.rests_only")]

@@ -41,7 +41,8 @@ def usable(data: ImuData, *, fine: bool, comparison: ReferenceComparison | None 
 
     With ``fine`` readings, as on a moving table, a constant output is a defect, and a channel that stays at its extreme
     values is returned separately, with those removed. Coarse readings may rest on one count. ``comparison`` with the
-    reference shows both in any case.
+    reference shows both in any case. All channels without limits are one part, the first; excluded are dead channels
+    and those without a valid number. Notes are on limits and dead zones.
     """
     notes: list[str] = []
     excluded: list[Excluded] = []

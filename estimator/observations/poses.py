@@ -99,7 +99,8 @@ def directions_up(force_mps2: Floats, *, from_rests: bool) -> tuple[Floats, floa
 
     ``from_rests``: scale factors, skews and offsets of the accelerometer are estimated so that all rests have the same
     length; body x is along its x axis, body y in the plane of its x and y. The remaining uncertainty moves all
-    directions by the shifts, one sigma each. Otherwise the accelerometer is taken as correct.
+    directions by the shifts, one sigma each. Otherwise the accelerometer is taken as correct: the uncertainty is 0, and
+    there are no shifts.
     """
     from scipy.optimize import least_squares
 
@@ -162,6 +163,9 @@ def _linear(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the residuals of the turns for states x (m, 4) (r,), their derivatives (r, 4 m), and their covariance (r,
     r).
+
+    Each turn has two residuals, the components of the error of the direction up across it. ``arw`` and ``wander`` (m,)
+    are the noise of the gyros and how far their biases change within a turn.
     """
     maps, m, k = regressor_maps(array), len(array), len(poses.up)
     inverse = np.linalg.pinv(array.p - x[:, :1] * array.p + x[:, 2:3] * array.k - x[:, 3:] * array.j)

@@ -47,7 +47,8 @@ def block_rows(data: ImuData, length_s: float = BLOCK_S) -> int:
 def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
     """Yield rows of body rate and output of one source, in parts of limited size, in order of time.
 
-    None for poses, between which no rate is known (``poses``).
+    Nothing for poses, between which no rate is known (``poses``). Against turns there is a row for each; against an
+    attitude, and a coarse rate reference, rows are means.
     """
     if recording.table is not None:
         yield from table_rows(recording, data)

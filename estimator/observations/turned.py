@@ -153,7 +153,7 @@ class Turned:
         return rates
 
     def _at(self, at_s: Floats) -> Floats:
-        """Return the integrals (n, c) at instants, by the smooth grid if there is one."""
+        """Return the integrals (n, c) at instants, by the smooth grid if there is one; constant beyond both ends."""
         if self.smooth is not None:
             start_s, step_s, values = self.smooth
             place = np.minimum(np.maximum((at_s - start_s) / step_s, 0), len(values) - 1.000001)

@@ -79,8 +79,8 @@ def force_run(
 ) -> ForceRun:
     """Return the accelerometers of a source on a table as a run.
 
-    The input is the specific force at a place ``arm_m`` (3,) from the point in which the axes meet, ``delay_s`` before
-    the stamps. Instants with any output NaN, or unknown motion, are left out. TooShort below ``_FEWEST_BLOCKS`` blocks.
+    The input is the specific force ``arm_m`` (3,) from where the axes meet, ``delay_s`` before the stamps. Instants
+    with a NaN, or unknown motion, are left out. Blocks less than half full weigh 0. TooShort for too few blocks.
     """
     table, data = recording.table, recording.sources[source]
     assert table is not None, "specific force is computed from the readings of a table"

@@ -111,7 +111,10 @@ class ForceProblem:
         return float(x[place]) * sd, float(np.sqrt(covariance[place, place])) * sd
 
     def arm(self, x: Floats, covariance: Floats, counted: Sequence[int]) -> tuple[Floats, Floats]:
-        """Return the mean place (3,) of the ``counted`` accelerometers and its standard deviations (3,)."""
+        """Return the mean place (3,) in m of the accelerometers with the numbers ``counted``, and its sigmas (3,).
+
+        They follow from all parameters x (size,) and their covariance.
+        """
         weights = np.zeros((3, len(x)))
         for i in counted:
             for law in (ARM, APART):

@@ -109,7 +109,10 @@ class LiveForces:
 
     @classmethod
     def of(cls, recording: Recording, source: str) -> Self:
-        """Return the filter of a source of a recording on a table, without samples."""
+        """Return the filter of a source of a recording on a table, without samples.
+
+        Its sample rate is the stated one, else that of the stamps. AssertionError without a table or a data sheet.
+        """
         table, data = recording.table, recording.sources[source]
         assert table is not None, "specific force is computed from the readings of a table"
         assert data.accel_sheet is not None, "nothing is expected of these accelerometers"
@@ -286,7 +289,10 @@ class LiveForces:
         return Innovation(float(innovation @ own.SI @ innovation), len(rows.z), normalised)
 
     def _take(self, t_ns: int, rows: _Rows) -> None:
-        """Update the filter with the rows of a block, and keep what they give."""
+        """Update the filter with the rows of a block that ends at ``t_ns``, and add the result to sums and history.
+
+        Of each accelerometer the information of its rows is kept, too: ``_take_out`` makes the filter anew from it.
+        """
         innovation = self._updated(rows)
         self._nis_sum += innovation.nis
         self._nis_dof += innovation.dof

@@ -226,7 +226,10 @@ def _encoded(states: Floats) -> Floats:
 
 
 def _gyros(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates) -> tuple[GyroCalibration, ...]:
-    """Return the calibrations of the gyros, with the noise of the first run that has estimated each."""
+    """Return the calibrations of the gyros, with the noise of the first run that has estimated each.
+
+    They have no effects; their budget has the lines "runs" and "mounting".
+    """
     gyros = []
     for number, sensor in enumerate(sensors):
         if sensor.kind is not GYRO:
@@ -307,7 +310,11 @@ def _mean_offset(offsets: Sequence[TimeOffset]) -> TimeOffset | None:
 def _accelerometer(
     single: Sequence[ForceCalibration], sensor: DeviceSensor, number: int, joined: JoinedStates, *, gravity_stated: bool
 ) -> AccelerometerCalibration:
-    """Return the calibration of one accelerometer, with the noise of the first run that has estimated it."""
+    """Return the calibration of one accelerometer, with the noise of the first run that has estimated it.
+
+    ``number`` is that of the sensor in the joined states. Its place is NaN. Unless ``gravity_stated``, the budget has a
+    line "gravity" beside "runs" and "mounting".
+    """
     first = next(a for forces in single for a in forces.accelerometers if a.name == sensor.name)
     own = slice(4 * number, 4 * number + 4)
     lines = ("runs", "mounting") if gravity_stated else ("runs", "mounting", "gravity")

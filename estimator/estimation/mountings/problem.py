@@ -139,7 +139,11 @@ class _Problem:
         return list(accumulate([0, 4 * count, 3 * runs, runs * count, len(self.gravity_sd)]))
 
     def predicted(self, u: Floats, number: int) -> Floats:
-        """Return the states x (4 s,) of the sensors of a run, in standard deviations of their prior."""
+        """Return the states x (4 s,) of the sensors of run ``number``, in standard deviations of their prior.
+
+        They are those of the device turned by the run's mounting, with the biases of the run, and for accelerometers
+        the gravity of its place.
+        """
         run = self.runs[number]
         of_run = list(run.sensors)
         x = u[: self.edges[1]].reshape(-1, 4) * self.prior_sd

@@ -107,7 +107,10 @@ class Series:
         return tuple(name for name, is_still in zip(self.names, still, strict=True) if is_still)
 
     def means(self, width: int) -> "Series":
-        """Return the series of means over ``width`` samples; incomplete ones at the ends of stretches are dropped."""
+        """Return the series of means over ``width`` samples; incomplete ones at the ends of stretches are dropped.
+
+        A stretch without a complete mean is left out. The same object for a width of 1.
+        """
         if width == 1:
             return self
         counts = [len(part) // width for part in self.stretches]

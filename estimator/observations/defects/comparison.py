@@ -84,8 +84,9 @@ class ReferenceComparison:
         return bool(self.turned_rps[gyro] > 0)
 
     def dead(self, gyro: int) -> bool:
-        """Return whether an output is independent of the rate while those of other gyros follow it; False without a
-        line.
+        """Return whether an output is independent of the rate while that of another gyro follows it.
+
+        False without a line, or if the body hardly turned about the axis of the gyro.
         """
         if self.line is None:
             return False

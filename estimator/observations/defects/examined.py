@@ -37,8 +37,9 @@ class Examined:
 def examined(recording: Recording) -> Examined:
     """Return the usable part of a recording: spikes, stuck and limited values and glitches of the reference removed.
 
-    Glitches are found by the source that follows the reference best; if there are any, all is examined once more
-    without them.
+    Glitches are found by the source that follows the reference best, and not looked for if none does; if there are any,
+    all is examined once more without them. The samples of the recording in the result stay as they were; usable ones
+    are in its ``sources``.
     """
     ordered = {name: in_order(data) for name, data in recording.sources.items()}
     lines = _lines(recording, ordered)

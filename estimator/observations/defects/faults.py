@@ -74,9 +74,10 @@ def held_samples(data: ImuData) -> int:
 def without_stuck(data: ImuData, comparison: ReferenceComparison | None = None) -> tuple[ImuData, list[Fault]]:
     """Return a source with stuck values set to NaN, and a fault for each time.
 
-    Not counted are values at the extremes of the output, outputs that never change, and times in which all gyros stand
-    still on a table. Coarse outputs, and exact zeros, are stuck only if ``comparison`` with the reference shows that
-    the rate changed. Sources of fewer than 100 samples are returned unchanged.
+    A value is stuck if it repeats for a quarter of a second, and far longer than others do. Not counted are values at
+    the extremes of the output, outputs that never change, and times in which all gyros stand still on a table. Coarse
+    outputs, and exact zeros, are stuck only if ``comparison`` with the reference shows that the rate changed. Sources
+    of fewer than 100 samples are returned unchanged.
     """
     if len(data.t_ns) < 100:
         return data, []
@@ -130,6 +131,8 @@ def stuck_notes(faults: Sequence[Fault], begin_s: float) -> list[str]:
 def split_faulty(data: ImuData) -> list[ImuData]:
     """Return a source in parts of gyros with the same valid samples, so that a fault of one does not affect the
     others.
+
+    All samples stay in each part. The source itself is the only part if all gyros have the same.
     """
     bad = ~np.isfinite(data.rate_rps)
     groups: dict[bytes, list[int]] = {}

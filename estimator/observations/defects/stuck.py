@@ -53,6 +53,8 @@ def stuck_doubts(recording: Recording) -> list[str]:
 def _seen_before(data: ImuData) -> Flags:
     """Return as flags (n,) which samples equal, bit by bit, those of a moment before; samples all at a limit do not
     count.
+
+    A moment is 50 ms, or eight samples if that is longer.
     """
     values = np.ascontiguousarray(data.rate_rps, dtype=np.float64)
     bits = values.view(np.int64)

@@ -13,6 +13,8 @@ _EDGE = 0.99  # of the zeros, those that lie within the zone
 def dead_zone_rps(output: Floats, expected: Floats) -> float | None:
     """Return the rate below which outputs (n,) are zero although ``expected`` (n,) is not; None if there is no such
     zone.
+
+    None as well for few zeros, or if all outputs are zero. Values that are not finite do not count.
     """
     known = np.isfinite(output) & np.isfinite(expected)
     zero, size = output[known] == 0.0, np.abs(expected[known])

@@ -76,7 +76,10 @@ class _Fitted:
     columns: Mapping[str, tuple[int, ...]]
 
     def log_evidence(self, effects: Sequence[str], tried: str = "") -> float:
-        """Return the log evidence with some effects at their largest plausible size, and one over all sizes."""
+        """Return the log evidence of the run with some effects, expected at their largest plausible size.
+
+        ``tried`` names one more effect, averaged over all sizes; "" for none.
+        """
         own = [Term("own", self._columns(effects), shared=False)]
         if not tried:
             return self.rich.evidence.of([*own, *self.shared])
@@ -112,6 +115,7 @@ def effect_sigmas(recording: Recording, source: str) -> dict[str, Floats]:
     """Return by named effect the standard deviations (p,) of its parameters in a recording, each effect alone.
 
     They are rms over the accelerometers of the source; those of effects that need what was not measured are missing.
+    Empty if no accelerometer of it can be used; TooShort for too few samples.
     """
     samples = _usable(recording).get(source)
     if samples is None:
@@ -134,7 +138,9 @@ def _trace(
 ) -> ForceFinding | None:
     """Return what the accelerometers of one source lack; None if no fitted run has samples of them.
 
-    ``samples`` are by the number of the recording, those that verify after those that are fitted.
+    ``samples`` are by the number of the recording, those that verify after those that are fitted. Only accelerometers
+    that can be used in all of them count. At most ``_MOST`` effects are added, the most probable first, while one is
+    certain; recordings that are too short are left out with the reason.
     """
     names = _common_names(list(samples.values()))
     chosen = {place: _only(own, names) for place, own in samples.items()} if names else {}
@@ -199,7 +205,10 @@ def _only(samples: ForceSamples, names: Sequence[str]) -> ForceSamples:
 
 
 def _fitted(recording: Recording, source: str, samples: ForceSamples) -> _Fitted:
-    """Return a run with all effects as laws beside its own."""
+    """Return a run with all effects as laws beside its own, those left out that need what was not measured.
+
+    Angles at rest that encoders round are a law, too. TooShort for too few samples.
+    """
     sheet, table = recording.sources[source].accel_sheet, recording.table
     assert sheet is not None
     assert table is not None
@@ -223,7 +232,10 @@ def _fitted(recording: Recording, source: str, samples: ForceSamples) -> _Fitted
 
 
 def _chances(runs: Sequence[_Fitted], added: Sequence[str]) -> dict[str, float]:
-    """Return the probability of each effect that is left, and of "" for none, beside those that were added."""
+    """Return the probability of each effect that is left, and of "" for none, beside those that were added.
+
+    Only effects that all runs can show are among them.
+    """
     left = [name for name in runs[0].columns if name not in added and all(name in run.columns for run in runs)]
     base = sum(run.log_evidence(added) for run in runs)
     logs = {"": np.log(1 - _EXPECTED)}
@@ -244,7 +256,11 @@ def _judged(
     found: Mapping[str, tuple[float, dict[str, float]]],
     suspects: Mapping[str, float],
 ) -> ForceFinding:
-    """Return the finding, without those effects that make the verification runs worse."""
+    """Return the finding, without those effects that make the verification runs worse.
+
+    Effects are dropped, the last added first, until the squared errors are no larger than without any. ``found`` has by
+    effect its probability and its rivals. Without ``checks`` the fitted runs are judged.
+    """
     kept = list(added)
     dropped: list[str] = []
     others = [_as_the_first(runs, run.settled.run.recording, run.settled.run.samples) for run in runs[1:] if checks]
@@ -290,7 +306,10 @@ def _joint(run: ForceRun, about: _Fitted, effects: Sequence[str]) -> Joint:
 
 
 def _parameters(joints: Sequence[Joint], name: str) -> tuple[Floats, Floats]:
-    """Return the parameters (a, p) of an effect and their standard deviations, combined over the fitted runs."""
+    """Return the parameters (a, p) of an effect and their standard deviations (a, p), combined over the fitted runs.
+
+    Each run counts by the inverse of the variance. Each of the ``joints`` must have the effect.
+    """
     shape = len(joints[0].means), len(BY_NAME[name].parameters)
     weights, sums = np.zeros(shape), np.zeros(shape)
     for joint in joints:
@@ -353,7 +372,10 @@ def _together(joints: Sequence[Joint]) -> Joint:
 
 
 def _squares(joint: Joint, run: ForceRun) -> Floats:
-    """Return the mean squares (a,) of what an estimate leaves of a run, in means, after a constant."""
+    """Return the mean squares (a,) in (m/s2)^2 of what an estimate leaves of a run, in means over ``_MEAN_S``.
+
+    Their mean is subtracted. Blocks without weight, and those at the end that fill no mean, are left out.
+    """
     columns = columns_of(run, joint.laws)
     values = [mean[4:] + expected_of(joint.laws) for mean in joint.means]
     states = run.state_columns()
