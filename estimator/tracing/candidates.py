@@ -105,7 +105,7 @@ class Candidate:
         """Return the columns (b, p) over b blocks of the effect's p parameters for gyro number ``gyro`` of a run.
 
         They are per unit of each parameter. For a step of another recording this is a constant: 1 in recordings after
-        it, 0 in those before.
+        it, 0 in those before. A gyro in ``sensed`` has that direction in place of its nominal sense axis.
         """
         if self.run is not None and run.order != self.run:
             return np.full((len(run.t_s), 1), float(run.order > self.run))

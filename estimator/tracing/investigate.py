@@ -212,7 +212,7 @@ def _most_probable(
     verification run that contradicts the model or shows a larger error than its covariance allows, else None. An effect
     is no more probable than its share of what it explains of that run's squared error and what is left there of its
     kind: an effect that imitates another leaves such. That does not hold where the reference is another instrument,
-    whose own errors are in that run. Tones are seen as lines.
+    whose own errors are in that run. Tones are seen as lines: they, and effects without a limit, have no entry.
     """
     ratio = np.inf if errors.improvement is None else errors.improvement.ratio
     explained = 1 - ratio**-2 if ratio > 1 else 0.0
@@ -309,8 +309,9 @@ def _visible(search: Search, found: Found) -> list[Part]:
     """Return the effects found that differ from zero by more than three sigmas, with less probability where in doubt.
 
     Effects that only together, over their numbers, differ from zero are kept with a probability of at most one half and
-    themselves as a rival. Where all runs rest, an effect is a rival of each other one that could give the same outputs,
-    since in a few poses a good fit is no proof. All others are left out.
+    themselves as a rival; laws of several terms are judged together in any case. Where all runs rest, an effect is a
+    rival of each other one that could give the same outputs, since in a few poses a good fit is no proof. All others
+    are left out.
     """
     model = Augmented.of(search.evidence, found.parts)
     seen = []

@@ -110,7 +110,7 @@ class Scan:
         return own[:, 0], with_rest[:, 0]
 
     def products_of(self, stacks: Sequence[Stack], number: int) -> tuple[Floats, Floats]:
-        """Return the same for the candidate with this number among those of ``stacks``."""
+        """Return what ``products`` returns, for the candidate with this number among those of ``stacks``."""
         found: dict[int, tuple[Floats, Floats]] = {}
         for stack in (one for one in stacks if number in one.numbers):
             own, with_rest = self._products_of(stack.only(number))

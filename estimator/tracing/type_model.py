@@ -20,7 +20,7 @@ def error_model_of(found: Augmented) -> ErrorModel:
 
     Effects that each gyro has to itself get mean zero and 1.5 times the rms over the gyros, since the next gyros have
     other signs. Effects that all gyros share get the estimate, with 1.5 times its sigma and 5 %. Effects not in the
-    catalogue, or not kept in a model, are left out with a reason.
+    catalogue, or not kept in a model, are left out with a reason. Of two of the same name the larger one stays.
     """
     effects: dict[str, KnownEffect] = {}
     left_out = {}

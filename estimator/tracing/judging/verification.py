@@ -279,6 +279,7 @@ def _basis(difference: Floats, sigma: float) -> Floats:
     """Return orthonormal directions (b, 1 or 2): the mean, and the shape in which two models differ, if any.
 
     The last column is the direction that tells the models apart: the mean if their difference (b,) is nearly constant.
+    There is only the mean for fewer than three blocks, or a shape that is small beside the noise ``sigma`` of a block.
     """
     n = len(difference)
     mean = np.full((n, 1), 1 / np.sqrt(n))

@@ -334,7 +334,7 @@ class _Tried:
 
     @classmethod
     def of(cls, laws: Sequence[Candidate]) -> list[Self]:
-        """Return laws with their options."""
+        """Return laws with their options; one without start values is its only option."""
         found: list[Self] = []
         first = 0
         for law in laws:

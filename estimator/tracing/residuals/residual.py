@@ -87,7 +87,7 @@ class Residual:
     def share_of(self, variable: str) -> float:
         """Return the share of the power beyond the noise that depends on a variable, over all gyros.
 
-        1 for a variable that is not among those of the dependences.
+        1 for a variable that is not among those of the dependences; 0 if no power is beyond the noise.
         """
         power = taken = 0.0
         for gyro in self.gyros:

@@ -51,7 +51,10 @@ class Heard:
         self.parts.append(Part(candidate, Term(candidate.name, (), False), probability, (TONE.name,), fit))
 
     def _predicted(self, model: Sequence[Term]) -> list[Floats]:
-        """Return the output errors (b, m) of each run that the posterior of a model predicts."""
+        """Return the output errors (b, m) of each run that the posterior of a model predicts.
+
+        They are 0 in blocks outside the stretches that have a spectrum.
+        """
         from scipy.fft import idct
 
         posterior = self._evidence.posterior(model)
