@@ -50,10 +50,10 @@ def sensor_array(
 
     Otherwise tilt axes are derived: j is the part of +z perpendicular to p (of +x if p is along z), and k = p x j.
     ``part_of_array`` allows gyros that do not span space. ``as_printed`` accepts skewed triads, for reproducing a
-    publication with its misprints.
+    publication with its misprints. Names are gyro1, gyro2 and so on if none are given.
 
     GeometryError for axes that are not unit vectors, triads that are not orthonormal to 1e-3, directions that do not
-    span three dimensions, and wrong shapes or names.
+    span three dimensions, only one of j and k, and wrong shapes or names.
     """
     p = _axes("p", p)
     n = len(p)
@@ -150,7 +150,10 @@ def _tilt_axes(p: Floats) -> Floats:
 
 
 def _axes(name: str, value: ArrayLike) -> Floats:
-    """Return ``value`` as an array (n, 3); GeometryError, with ``name``, if it is not finite or has another shape."""
+    """Return ``value`` as an array (n, 3) of at least one row.
+
+    GeometryError, with ``name``, if it is not of finite numbers, empty, or of another shape.
+    """
     try:
         axes = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

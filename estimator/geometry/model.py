@@ -65,7 +65,10 @@ class ForcePrior:
 
 
 def regressor_maps(array: SensorArray) -> Floats:
-    """Return A (n, 4, 4) such that the regressors of gyro i on its states are ``A[i] @ [1, wx, wy, wz]``."""
+    """Return A (n, 4, 4) such that the regressors of gyro i on its states are ``A[i] @ [1, wx, wy, wz]``.
+
+    The states are the encoded x = [k, b, s_j, s_k].
+    """
     maps = np.zeros((len(array), 4, 4))
     maps[:, 0, 1:] = -array.p
     maps[:, 1, 0] = -1.0

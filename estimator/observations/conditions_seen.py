@@ -11,7 +11,8 @@ _STILL_DPS = 0.5
 def holds_for(recording: Recording) -> str:
     """Return a text on the rates, directions, temperatures and times after the start that a recording covers.
 
-    It says "rest" for all rates below ``_STILL_DPS``, and names axes that turn in one direction only.
+    It says "rest" for all rates below ``_STILL_DPS``, names axes that turn in one direction only, and says so if no
+    temperature was recorded. The time is that of the longest source.
     """
     ranges = [_limits(np.degrees(rate)) for rate in _rates_rps(recording)]
     if max(max(-low, high) for low, high in ranges) < _STILL_DPS:

@@ -145,6 +145,8 @@ def _unit(vectors: Floats) -> Floats:
 def _cut(data: ImuData, poses: Poses) -> tuple[list[_Turn], list[Floats], Floats]:
     """Return the turns between rests that have no gaps, the outputs (n, m) of each rest, and the rests' lengths (k,)
     in s.
+
+    A gap is longer than a few sampling periods; no rest counts as shorter than that.
     """
     t_ns, rate = in_order(data)
     first, last = np.searchsorted(t_ns, poses.t_start_ns), np.searchsorted(t_ns, poses.t_end_ns, side="right") - 1

@@ -85,7 +85,10 @@ def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 
 def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], Floats]) -> Iterator[Observations]:
-    """Yield rows of the samples between two instants whose body rate ``at(t_ns)`` is finite."""
+    """Yield rows of the samples between two instants, these included, whose body rate ``at(t_ns)`` (n, 3) is finite.
+
+    They come in parts of whole blocks of the live filter.
+    """
     t_ns, rate = in_order(data)
     start, stop = np.searchsorted(t_ns, first_ns, side="left"), np.searchsorted(t_ns, last_ns, side="right")
     t_ns, rate = t_ns[start:stop], rate[start:stop]

@@ -125,7 +125,10 @@ class Turned:
         return np.asarray(np.column_stack(turned) / (after - before)[:, None])
 
     def means(self, first_s: Floats, last_s: Floats) -> Floats:
-        """Return the mean rates (n, c) from ``first_s`` (n,) to ``last_s`` (n,), NaN where they are not known."""
+        """Return the mean rates (n, c) from ``first_s`` (n,) to ``last_s`` (n,), NaN where they are not known.
+
+        That is so beyond the ends, over a gap, and where the smoothing reaches into either.
+        """
         begin, end = first_s - self.reach_s, last_s + self.reach_s
         known = (begin >= self.t_s[0]) & (end <= self.t_s[-1])
         if self.gaps[-1]:

@@ -203,7 +203,8 @@ def _unseen(covariance: Floats, scale: Floats) -> Floats:
 def _echelon_form(rows: Floats) -> tuple[Floats, list[int]]:
     """Return the same span (c, n) of rows in echelon form, and the leading column of each row.
 
-    A row has 1 in its leading column, and all others have 0 there. Small values become 0.
+    A row has 1 in its leading column, and all others have 0 there. That is the first free column with a value of at
+    least a tenth of the largest one left. Small values become 0.
     """
     rows = np.array(rows)
     leads: list[int] = []

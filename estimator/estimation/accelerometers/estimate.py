@@ -181,7 +181,10 @@ def _with_rest_angles(settled: Settled) -> Settled:
 
 
 def _laws(run: ForceRun, samples: ForceSamples, arm_m: Floats, delay_s: float) -> list[Law]:
-    """Return all laws beside the states, about the lever arm and the delay that were subtracted."""
+    """Return all laws beside the states, about the lever arm (3,) and the delay that were subtracted.
+
+    What is expected of the delay follows from the table's stated timing and the round trips of its readings.
+    """
     recording = run.recording
     table = recording.table
     assert table is not None

@@ -86,7 +86,7 @@ def _along(conditions: Conditions, axes: Axes) -> tuple[Floats, Floats, Floats]:
 
 
 def _of_force(function: Callable[[Floats, Floats, Floats], Floats]) -> Columns:
-    """Return columns (N, 1) of a function of the forces along sense and tilt axes."""
+    """Return what gives the columns (N, 1) of a ``function`` of the forces (N,) along p, j and k, in m/s2."""
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
         """Return the column of one accelerometer."""

@@ -97,7 +97,7 @@ def orthogonality_law(gimbals: Sequence[str], expected_rad: float) -> Law:
     names = [f"{about} before {axis}" for axis in gimbals[1:] for about in AXES]
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        """Return the components along p of gravity turned before each axis but the outermost."""
+        """Return the components along p of gravity turned before each axis but the outermost, (N, 3 for each)."""
         up = np.array([0.0, 0.0, GRAVITY_MPS2])
         found = []
         for place in range(1, len(conditions.gimbals)):

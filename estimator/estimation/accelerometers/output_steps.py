@@ -68,7 +68,10 @@ def _steady_spans_s(run: ForceRun, force_mps2: Floats, step: float) -> list[tupl
 
 
 def _of_means(pieces: list[Floats], step: float) -> float:
-    """Return the standard deviation by which rounding moves the means of pieces of an output; 0 if that is little."""
+    """Return the standard deviation in m/s2 by which rounding to ``step`` moves the means of pieces (n,) of an output.
+
+    0 without pieces, or if that is little beside the noise of their means.
+    """
     if not pieces:
         return 0.0
     seen = float(np.median([piece.var() for piece in pieces]))

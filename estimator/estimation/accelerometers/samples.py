@@ -198,7 +198,10 @@ def _longest_equal(t_ns: Stamps, equal: Flags, expected: Floats) -> float:
 
 
 def _unlike(gain: Floats, array: SensorArray, number: int) -> str:
-    """Return why the sensitivity (3,) of an accelerometer is not that of one along its stated axis; "" if it may be."""
+    """Return why the sensitivity (3,) of an accelerometer is not that of one along its stated axis; "" if it may be.
+
+    It may be dead, reversed, along another axis, in g or mg, or of a scale that is far off.
+    """
     size = float(np.linalg.norm(gain))
     if size < _DEAD / GRAVITY_MPS2:
         return "its output does not follow gravity while the table tilts: dead or disconnected"

@@ -156,6 +156,9 @@ def _slopes(rows: int, columns: int) -> Floats:
 def compressed_rows(regressors: Floats, z: Floats) -> tuple[Floats, Floats]:
     """Apply one orthogonal transform to outputs (rows, m) or (rows,) and regressors (rows, c), leaving c rows or fewer.
 
+    Return outputs, then regressors. The first column of the latter is 1: the first row is then the mean of a block
+    times the root of its rows.
+
     At rest the columns of the body rate are constant, so that rounding would choose the directions that complete the
     transform, and the NIS of a recording would differ between processors. Therefore slope and bends of the block are
     added to the regressors for the choice of the transform, which is applied to the regressors themselves.

@@ -82,7 +82,10 @@ class ForceProblem:
         self._sds = {law.called: law.sd for law in self._laws}
 
     def at(self, rates: BodyRates, t_ns: Stamps, about: About) -> ForceColumns:
-        """Return the columns at the instants (n,) of samples, in order, linearised ``about`` a delay and an arm."""
+        """Return the columns at the instants (n,) of samples, in order, linearised ``about`` a delay and an arm.
+
+        The outputs without any error are extrapolated to a delay and an arm of 0, of which the parameters tell.
+        """
         arm_m, count = np.array(about.arm_m), len(self.array)
         earlier_ns = rates.earlier(t_ns, about.delay_s)
         conditions = force_conditions(rates, self._gimbals, earlier_ns, arm_m, self.gravity_mps2)

@@ -89,10 +89,10 @@ def white_solution(
 ) -> Solution:
     """Return the states of a source on a table, estimated with effects under white noise from all samples at once.
 
-    ``noise_rps`` (m,) is that of one sample, ``offset_sd_s`` the expected sigma of the time offset of the samples
-    against the table, 0 for none. The problem is linear about the offsets that were subtracted: ``taken_off`` are
-    instants in ns and the offset in s up to each of them, as ``LiveFilter`` used them. Samples outside the readings or
-    without known rates are left out.
+    ``columns`` are the effects, None for none; their estimates are not returned. ``noise_rps`` (m,) is that of one
+    sample, ``offset_sd_s`` the expected sigma of the time offset of the samples against the table, 0 for none. The
+    problem is linear about the offsets that were subtracted: ``taken_off`` are instants in ns and the offset in s up to
+    each of them, as ``LiveFilter`` used them. Samples outside the readings or without known rates are left out.
     """
     table = recording.table
     assert table is not None, "samples are compared with the readings of a table"

@@ -149,7 +149,10 @@ def _run(recording: Recording, excluded: frozenset[str] | None, innovations: boo
 
 
 def _sensors(runs: Sequence[_Run]) -> list[DeviceSensor]:
-    """Return all sensors that some run has estimated, gyros first, with their axes in the device."""
+    """Return all sensors that some run has estimated, gyros first, with their axes in the device.
+
+    Axes and data sheet are those of the first such run.
+    """
     found: dict[tuple[SensorKind, str, str], DeviceSensor] = {}
     for run in runs:
         for gyro in run.calibration.gyros:

@@ -199,7 +199,7 @@ class _Problem:
         return self._result(u, covariance, means[likeliest], self.precision(*sizes[likeliest]), changes)
 
     def _linear(self, u: Floats) -> tuple[Floats, Floats]:
-        """Return the information of all runs about the parameters, and its vector, linearised about u."""
+        """Return the information (c, c) of all runs about the parameters, and its vector (c,), linearised about u."""
         information = np.zeros((len(u), len(u)))
         vector = np.zeros(len(u))
         for number, run in enumerate(self.runs):

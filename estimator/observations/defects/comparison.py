@@ -116,7 +116,10 @@ class ReferenceComparison:
 
 
 def _slopes(outputs: Floats, turned: Floats) -> Floats:
-    """Return the slope (m,) of each output (n, m) over the rate about its sense axis (n, m); 0 without rotation."""
+    """Return the slope (m,) of each output (n, m) over the rate about its sense axis (n, m); 0 without rotation.
+
+    Only rows in which both are finite count.
+    """
     slopes = np.zeros(outputs.shape[1])
     for gyro, (output, rate) in enumerate(zip(outputs.T, turned.T, strict=True)):
         known = np.isfinite(output) & np.isfinite(rate)

@@ -71,7 +71,7 @@ def _times(count: int) -> str:
 def _differences(data: ImuData, line: Following) -> tuple[Floats, Floats]:
     """Return the excess turn (k - 1, 3) of the reference over the gyros in each interval, and the rate there.
 
-    NaN where either is unknown.
+    NaN where either is unknown. Directions in which the gyros do not sense have no excess.
     """
     turned = line.turned
     gains = line.rows[1:]
@@ -89,8 +89,10 @@ def _differences(data: ImuData, line: Following) -> tuple[Floats, Floats]:
 
 
 def _far(off_rad: Floats, speed_rps: Floats) -> Flags:
-    """Return as flags which differences (n, 3) far exceed those usual at their rate: at rest, and in proportion to the
-    rate.
+    """Return as flags (n,) which differences (n, 3) far exceed those usual at their rate: at rest, and in proportion to
+    the rate ``speed_rps`` (n,).
+
+    Unknown differences do not.
     """
     size = np.linalg.norm(off_rad, axis=1)
     known: Flags = np.isfinite(size)
