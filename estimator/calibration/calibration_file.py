@@ -90,9 +90,9 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
 
 
 def _rest_datasets(rests: Sequence[SensorNoise]) -> dict[str, NDArray[np.float64]]:
-    """Return the datasets of the noise at rest by name: N, B and K with their intervals (n, 3), Allan deviations (n, t).
+    """Return the datasets of the noise at rest by name: N, B and K with their intervals, (n, 3), and curves (n, t).
 
-    Curves are NaN beyond their last averaging time.
+    Curves, Allan deviations with their intervals, are NaN beyond their last averaging time.
     """
     longest = max(len(rest.curve.tau_s) for rest in rests)
     columns = {"tau_s": "tau_s", "deviation_rps": "deviation", "low_rps": "low", "high_rps": "high"}

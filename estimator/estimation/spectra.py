@@ -152,7 +152,7 @@ def _expected(sizes: Floats, stated: float) -> tuple[Floats, Floats]:
     """Return ratios to the angle random walk (none, then ``sizes``) and the probability expected of each.
 
     ``stated`` is the ratio of a data sheet, 0 for none. Without one it is more probable than not that there is none,
-    and all sizes are equally probable. With one the probability falls off with the logarithm of the distance from it.
+    and all sizes are equally probable. With one the probability falls off with the logarithm of the ratio to it.
     """
     values = np.concatenate([[0.0], sizes])
     if stated <= 0:

@@ -44,7 +44,8 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
     """Return the verdict for the ``added`` effects, the ``doubtful`` ones and the unexplained part.
 
     CANNOT_TELL if doubtful effects have rivals, or nothing is unexplained beside them; else PARTLY or UNEXPLAINED for
-    an unexplained part, by whether something was added; else ADDED or NOTHING.
+    an unexplained part, by whether something was added; else ADDED or NOTHING. A doubtful effect that leaves as much of
+    its kind as it explains has no rivals.
     """
     # An effect that leaves as much of its kind as it explains is a part of the unexplained, and no rival.
     open_ones = [part for part in doubtful if part.share < CERTAIN and part.probability >= CERTAIN * part.share]

@@ -19,8 +19,7 @@ _FEWEST_TURNS = 2
 
 
 def limits_by_turns(data: ImuData, turns: Turns) -> list[list[Limit]]:
-    """Return by gyro the limits of its outputs, found by comparing turns that stay at the highest values with those that
-    do not.
+    """Return by gyro the limits of its outputs, found by comparing turns that stay at the highest values with others.
 
     Turns of which a gyro senses less than half do not count. Its output at rest is the median in the rests among the
     turns, else between turns, else of all.
