@@ -72,9 +72,9 @@ class Compensation:
         """Return the compensation of calibrated gyros; ``arrays`` are those of their sources, ``model`` the
         calibration's.
 
-        Gyros of the same name get their device's name as prefix. A delay of the stamps becomes ``delay_s``. Effects of
-        a table's axes, and those whose record says so, are ``left_out``. ModelError for a model of another version,
-        CompensationError for an effect that this version cannot correct.
+        If two gyros have one name, all get that of their device, or else source, in front. A delay of the stamps
+        becomes ``delay_s``. Effects of a table's axes, and those whose record says so, are ``left_out``. ModelError for
+        a model of another version, CompensationError for an effect that this version cannot correct.
         """
         known = {effect.called: effect for effect in ErrorModel.parse(model, "calibration").effects} if model else {}
         effects: list[HeldEffect] = []
@@ -151,7 +151,10 @@ class Compensation:
 
 
 def _joined(gyros: Sequence[GyroCalibration], arrays: Mapping[str, SensorArray]) -> SensorArray:
-    """Return the gyros of all sources as one array; names that come twice get their device or source in front."""
+    """Return the gyros of all sources as one array.
+
+    If a name comes twice, all get their device, or else source, in front. ``arrays`` are by source.
+    """
     names = [gyro.name for gyro in gyros]
     if len(set(names)) < len(names):
         names = [f"{gyro.device or gyro.source} {gyro.name}" for gyro in gyros]

@@ -81,7 +81,8 @@ def _inverted(
     """Return body rates (N, 3) from outputs (N, n) that hold the rate and its effects only; NaN where iteration
     diverges.
 
-    Without effects of the rate nothing is iterated. CompensationError if the gyros do not span space.
+    Without effects of the rate nothing is iterated. Conditions are as for ``compensate``. CompensationError if the
+    gyros do not span space.
     """
     solution = of.solution.T
     with np.errstate(over="ignore", invalid="ignore"):  # of infinities, and of rows that come to no end

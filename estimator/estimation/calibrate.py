@@ -166,7 +166,7 @@ def _devices(
     excluded: frozenset[str] | None,
     defective: Sequence[Excluded],
 ) -> list[DeviceEstimate]:
-    """Return the estimates of all devices, in the order of their sources.
+    """Return the estimates of all devices, in the order of their sources; ``excluded`` is as for ``calibrate``.
 
     Raises RecordingError where a device cannot be estimated; except for TooShort the message then also names the
     ``defective`` gyros that were left out, because they may be the reason.

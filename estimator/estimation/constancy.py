@@ -89,8 +89,8 @@ def _beside(joint: Joint, columns: Sequence[Mapping[Key, Floats]], change: _Chan
     """Return the sigmas of a change after the noise was estimated again without it: the root of twice the gain in log
     evidence, 0 without a gain.
 
-    ``columns`` hold by gyro and key what a change of size 1 adds to the output error (b,). Gyros without the key of the
-    change keep their output error.
+    ``columns`` hold by gyro and key what a change of size 1 adds to the output error (b,), ``edges_s`` (T + 1,) are the
+    instants of the edges. Gyros without the key of the change keep their output error.
     """
     first_s, last_s = edges_s[change.edges[0]], edges_s[change.edges[1]] + 1e-9
     spectra = list(joint.evidence.gyros)
@@ -153,7 +153,7 @@ def _limit(tried: int) -> float:
 
 def _worst(key: Key, spans: Floats, edges_s: Floats) -> _Change:
     """Return the change that is most significant among the ``spans`` (2, T + 1, T + 1) of scores and variances of one
-    key.
+    key, with the edges ``edges_s`` (T + 1,).
 
     Where it is nearly as significant to let the change last from the start or to the end of the run, that is chosen:
     one instant is simpler than two. The text on a change from the start until an instant tells the opposite change from

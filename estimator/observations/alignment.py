@@ -232,7 +232,8 @@ def _followed(data: ImuData, reference: Reference, site: Site | None) -> Followi
 def body_turned(reference: Reference, site: Site | None) -> Turned | None:
     """Return the integrated motion of a body, about its axes.
 
-    None if a reference does not give it at all instants, or has fewer than two that are known.
+    For a table it includes Earth rate if ``site`` is known. None if a reference does not give it at all instants, or
+    has fewer than two that are known.
     """
     if reference.instants_ns is None or len(reference.instants_ns) < 2:
         return None

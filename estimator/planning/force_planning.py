@@ -133,8 +133,8 @@ def _joined(information: Floats) -> Floats:
 def _places(covariances: Floats, prior_sd: Floats, arm_sd_m: float, first_of_arm: int) -> Floats:
     """Return the covariances (a, 7, 7) of states and places, from those of own and shared parameters (a, c, c).
 
-    ``first_of_arm`` is where the lever arm is among the shared ones. The place of an accelerometer is the common lever
-    arm plus its own part.
+    ``first_of_arm`` is where the lever arm is among the shared ones. ``prior_sd`` (7,) and ``arm_sd_m`` are the units
+    of own parameters and lever arm. The place of an accelerometer is the common lever arm plus its own part.
     """
     weights = np.zeros((PARAMETERS, covariances.shape[1]))
     weights[:, :PARAMETERS] = np.diag(prior_sd)

@@ -146,7 +146,7 @@ class Scan:
 
         The size is the effect's first parameter. The effect is evaluated anew at each size, because its column alone,
         enlarged by the noise of the reference, gives too little. With a single start value, as for a table's own rates,
-        the column is evaluated there and once at the size that it gives.
+        the column is evaluated there and once at the size that it gives. The size is at most 0.3 s either way.
         """
         assert candidate.start is not None
         if len(candidate.start) == 1:  # a table's own rates have next to no noise

@@ -48,7 +48,7 @@ def apart_law(expected: Floats) -> Law:
 def delay_law(expected_s: float, taken_off_s: float, arm_m: Floats) -> Law:
     """Return the law of the delay of the outputs, of which ``taken_off_s`` was subtracted from the stamps.
 
-    ``arm_m`` (3,) is the lever arm, whose centripetal force changes on ramps.
+    ``arm_m`` (3,) is the lever arm, whose centripetal force changes on ramps; ``expected_s`` is the standard deviation.
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
@@ -162,7 +162,7 @@ def rest_angle_law(table: TableReadings) -> Law | None:
 
 
 def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
-    """Return the law of the angles of axes that stand, for counts (g,) in rad, infinite for unknown ones.
+    """Return the law of the angles of axes that stand, for counts (g,) of their encoders in rad, infinite if unknown.
 
     It has one parameter for each span in which an axis of a known count stands. None if there is no such span.
     """

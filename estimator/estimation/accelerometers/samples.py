@@ -163,7 +163,8 @@ def _held(t_ns: Stamps, output: Floats, expected: Floats) -> Flags:
     """Return as flags (n,) the samples of long runs of one value within which the output ought to have changed.
 
     It ought to change if the force does, or if noise lets it change in most of the run while the force stays. Runs of
-    the least and the largest value do not count: they are at a limit.
+    the least and the largest value do not count: they are at a limit. ``expected`` (n,) is the output by the table, NaN
+    where unknown; a run in which all of it is unknown does not count either.
     """
     ends = np.nanmin(output), np.nanmax(output)
     held = np.zeros(len(output), dtype=np.bool_)

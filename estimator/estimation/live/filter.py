@@ -120,7 +120,8 @@ class LiveFilter:
     def _take(self, z: Floats, h: Floats, rows: int) -> Innovation:
         """Update the filter with ``rows`` compressed rows of each gyro, sorted by gyro; add the NIS to the sums.
 
-        The result has the normalised innovation of the first row of each gyro.
+        ``z`` (m rows, 1) are outputs, ``h`` (m rows, size) their columns. The result has the normalised innovation of
+        the first row of each gyro.
         """
         m = len(self._array)
         variances = np.repeat(self._noise**2, rows)

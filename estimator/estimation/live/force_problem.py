@@ -53,7 +53,10 @@ class ForceProblem:
         uncertainty: TableUncertainty | None,
         gravity: Gravity,
     ) -> None:
-        """Take the accelerometers, their data sheet, and what is known of table and gravity."""
+        """Take the accelerometers, their data sheet, and what is known of table and gravity.
+
+        ``gimbals`` are outermost first; ``uncertainty`` is that of the table, None if not stated.
+        """
         self.array, self.gravity_mps2 = array, gravity.value_mps2
         self._gimbals, self._maps = tuple(gimbals), regressor_maps(array)
         timing_s = uncertainty.timing_s if uncertainty is not None else 0.0

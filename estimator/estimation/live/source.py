@@ -107,7 +107,7 @@ class LiveSource:
         effects: SampleColumns | None = None,
         timing_s: float = 0.0,
     ) -> None:
-        """Begin with the prior; ``noise_rps`` is the data sheet's white noise of one sample.
+        """Begin with the prior; ``noise_rps`` is the data sheet's white noise of one sample, ``rate_hz`` their rate.
 
         ``effects`` are those of an error model; ``timing_s`` is the uncertainty that the table states of its timing. A
         model that holds a delay takes the place of the time offset.

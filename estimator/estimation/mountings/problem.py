@@ -71,7 +71,7 @@ def run_states(
 
     ``x`` (4 s,) and ``covariance`` (4 s, 4 s) are its estimate under independent priors ``prior_sd`` (4 s,).
     Combinations of states that the run hardly shows are left out. ``mounting_sd_rad`` is the uncertainty of its
-    mounting.
+    mounting, ``place`` the number of the place where it was made.
     """
     scaled = covariance / np.outer(prior_sd, prior_sd)
     variance, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))

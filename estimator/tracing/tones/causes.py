@@ -38,7 +38,7 @@ def _is_image(part: Part, other: Part, runs: Sequence[Run]) -> bool:
     """Return whether tone ``other`` may be an image of tone ``part``.
 
     It must be no stronger, have the same ratio of sizes between gyros, and the sum or difference of frequencies must be
-    a multiple of the sample rate over 1 to 6.
+    a multiple of the sample rate, that of the first of ``runs``, over 1 to 6.
     """
     assert part.tone is not None
     assert other.tone is not None
