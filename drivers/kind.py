@@ -39,7 +39,7 @@ class MakeSafe(Protocol):
         unconfirmed: Callable[[str], None],
         untrue_readings: bool = False,
     ) -> Coroutine[Any, Any, SafeState]:
-        """Make the device safe, in whatever state its link is.
+        """Make the device safe, in whatever state its link is, and return how it was left.
 
         ``unconfirmed(trouble)`` is called if the usual way was not confirmed, before a harder one is tried. With
         ``untrue_readings`` nothing that the device reports is believed. ``time_scale`` is how fast the loop's clock
@@ -50,11 +50,12 @@ class MakeSafe(Protocol):
 async def make_safe(
     device: Any, /, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
 ) -> SafeState:
-    """Call the driver's ``make_safe``, repeatedly for 15 s, each time on a new connection, until it succeeds.
+    """Call the driver's ``make_safe``; while it fails, close the device and call it again, for 15 s.
 
-    A driver without ``make_safe`` is left alone, which is no trouble. Limits are multiplied by ``time_scale``, how fast
-    the loop's clock runs. The first failure is passed to ``unconfirmed``; the last one is in the result.
-    ``untrue_readings`` is not used here.
+    Each call may take 15 s; a failure is a DeviceError or a time-out, other exceptions pass through. A driver without
+    ``make_safe`` is left alone, which is no trouble. Limits are multiplied by ``time_scale``, how fast the loop's clock
+    runs. The first failure is passed to ``unconfirmed``; that of the last call is in the result. ``untrue_readings`` is
+    not used here.
     """
     if not isinstance(device, MadeSafe):
         return SafeState(trouble="", seen=False)

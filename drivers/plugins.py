@@ -31,9 +31,10 @@ class PluginError(ValueError):
 def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
     """Import the files named in the environment variable ``GIVEN`` and in ``paths``, each once, and return the modules.
 
-    PluginError if one fails. The operator named those in ``GIVEN``, which must be full paths. ``paths`` come from a
-    bench file or stand beside it: unless ``GIVEN`` has them too, neither they nor any folder or link on the way may be
-    writable by anybody but the operator and the administrator.
+    Those of ``GIVEN`` come first: the operator named them, and they must be full paths. ``paths`` come from a bench
+    file or stand beside it: unless ``GIVEN`` has them too, neither they nor any folder or link on the way may be
+    writable by anybody but the operator and the administrator. PluginError if one of this does not hold, before any
+    file is imported, or if an import fails.
     """
     given = [Path(file) for file in os.environ.get(GIVEN, "").split(os.pathsep) if file]
     if here := [str(path) for path in given if not path.is_absolute()]:  # the working folder decides nothing

@@ -25,7 +25,8 @@ def packed_device(kind: DeviceKind, spec: DeviceSpec, setup: Any, link: Any) -> 
 def unpacked_device(data: bytes) -> tuple[DeviceKind, Any]:
     """Return the kind and the driver, not open yet, of a ``packed_device``, after importing its plug-ins.
 
-    PluginError if a plug-in cannot be imported. ``data`` must come from this program: it is unpickled.
+    PluginError if a plug-in cannot be imported, KeyError if this process knows no such kind or protocol. ``data`` must
+    come from this program: it is unpickled.
     """
     plugins, rest = pickle.loads(data)
     modules = [load_file(Path(file)) for file in plugins]

@@ -30,7 +30,7 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 def unit_size(text: str) -> tuple[float, Powers]:
     """Return the factor to SI of a unit such as "deg/s2", and its powers of radian, second, kelvin and g.
 
-    ValueError if it is not a unit or has more than 100 characters.
+    ValueError if it is empty, not a unit, or has more than 100 characters.
     """
     if len(text) > _LONGEST:  # brackets within brackets
         raise ValueError(text[:_LONGEST])
@@ -51,7 +51,8 @@ def unit_size(text: str) -> tuple[float, Powers]:
 def _product(words: Iterator[str], word: str) -> tuple[float, Powers, str]:
     """Read factors joined by * and /, each a unit or a bracket with an optional power, starting with ``word``.
 
-    Return the factor to SI, the powers and the first word that does not belong. ValueError for an unknown unit.
+    ``words`` are those after it, ended by an empty one. A power is a single digit. Return the factor to SI, the powers
+    and the first word that does not belong. ValueError for an unknown unit or a bracket that is not closed.
     """
     factor, powers, sign = 1.0, _NONE, 1.0
     while True:

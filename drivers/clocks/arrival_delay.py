@@ -109,9 +109,10 @@ class Lateness:
     def guess(self, excess: Floats, least_s: float) -> None:
         """Make a first histogram from early samples, some of which may have been lost.
 
-        ``excess`` (n,) in s, ``least_s`` the least of it; fewer than two values count as no scatter. The scatter is
-        estimated robustly against single losses and doubled samples, and is at least a twentieth of the period. The
-        histogram is that of an exponential distribution which begins one scatter below ``least_s``.
+        ``excess`` (n,) in s gives the scatter, ``least_s`` the least excess; fewer than two values count as no scatter.
+        The scatter is estimated robustly against single losses and doubled samples, and is at least a twentieth of the
+        period. The histogram is that of an exponential distribution which begins at ``least_s``, its mean one scatter
+        above.
         """
         if len(excess) < 2:
             excess = np.zeros(2)

@@ -106,10 +106,10 @@ class RegularClock:
         """Return (t_ns, arrival_ns, values) of the held samples that can be timed, in their order; None if there are
         none.
 
-        All three are (n,), or values (n, k) where samples are rows. With ``flush`` all held samples are timed,
-        those too that would wait for later ones. Doubled samples are dropped, as are those whose time would not be
-        later than the last one returned. If all samples come well before they can have been taken, the clock starts
-        anew.
+        All three are (n,), or values (n, k) where samples are rows. Without ``flush`` nothing is timed until ``due``;
+        with it all held samples are, those too that would wait for later ones. Doubled samples are dropped, as are
+        those whose time would not be later than the last one returned. The counts are updated. If all samples come well
+        before they can have been taken, the clock starts anew.
         """
         if not self._held or not (self.due or flush):
             return None
@@ -224,9 +224,9 @@ class RegularClock:
 
         ``arrival`` (n,) in ns and ``unqueued`` (n,), samples that waited for no other, are of all held samples. Flags
         ``kept`` (m,) are of the m oldest of them; those not marked are doubled ones. Places, in periods, and their
-        certainty are of the kept ones. All three are empty while later samples are needed. If the last samples came in
-        time, no search is made. ``certain`` decides now, even without a steady lateness; ``flush`` leaves nothing
-        held.
+        certainty are of the kept ones. All three are empty while later samples are needed. Otherwise the rhythm moves
+        on past the m samples, and repeats are counted. If the last samples came in time, no search is made. ``certain``
+        decides now, even without a steady lateness; ``flush`` leaves nothing held.
         """
         place = self._next + np.arange(len(arrival), dtype=np.float64)
         device_s = place * self._period_s

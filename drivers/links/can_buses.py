@@ -65,8 +65,9 @@ class SlcanBus(slcanBus):
     def frames(self, timeout: float | None) -> list[Raw]:
         """Return (identifier, whether it has 29 bits, data) of the frames received; may be empty.
 
-        Waits up to ``timeout`` s (None: without limit) for the first bytes. Other lines, such as remote frames and
-        answers, are dropped; damaged lines are counted in ``malformed``. CanOperationError if the port fails.
+        Waits up to ``timeout`` s for the first bytes; None means without limit, on Windows 2 s. An unfinished line is
+        kept for the next call. Other lines, such as remote frames and answers, are dropped; damaged lines are counted
+        in ``malformed``. CanOperationError if the port fails.
         """
         if timeout != 0:
             self._wait(timeout)
@@ -106,7 +107,8 @@ class SocketcandBus(can.BusABC):
     def __init__(self, channel: str, host: str, port: int = SOCKETCAND_PORT, **options: Any) -> None:
         """Connect to the server and open its bus ``channel`` in raw mode; OSError or CanError if that fails.
 
-        Each step may take 2 s. ``options`` go to python-can's bus.
+        Each step may take 2 s. Frames that arrive meanwhile are kept for ``frames``. ``options`` go to python-can's
+        bus.
         """
         self.malformed = 0
         """Frames that could not be read."""
@@ -140,8 +142,9 @@ class SocketcandBus(can.BusABC):
     def frames(self, timeout: float | None) -> list[Raw]:
         """Return (identifier, whether it has 29 bits, data) of the frames received; may be empty.
 
-        Waits up to ``timeout`` s (None: without limit) for the first. Other elements are dropped; damaged frames are
-        counted in ``malformed``. CanOperationError if the connection ends.
+        Waits up to ``timeout`` s (None: without limit) for the first bytes; if they complete no frame, the list is
+        empty. Other elements are dropped; damaged frames are counted in ``malformed``. CanOperationError if the
+        connection ends.
         """
         found: list[Raw] = []
         early, self._early = self._early, []

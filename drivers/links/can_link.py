@@ -57,7 +57,8 @@ class CanLink:
     async def open(self) -> None:
         """Open the bus in a thread that then reads it; LinkLost if that fails or takes more than five seconds.
 
-        A bus "memory" is joined at once, without a thread.
+        A bus "memory" is joined at once, without a thread. A bus that is open must be closed first. Frames received
+        before and not taken yet are kept.
         """
         self._closing.clear()
         self._ended = ""
@@ -113,7 +114,10 @@ class CanLink:
         self._wake.set()
 
     def close(self) -> None:
-        """Close the bus and wait a short time for its thread; harmless if it is closed already."""
+        """Close the bus and wait at most 0.3 s for its thread; harmless if it is closed already.
+
+        A ``receive`` that waits for frames is not woken up: the caller cancels it.
+        """
         thread = self._give_up()
         if thread is not None and thread is not threading.current_thread():
             thread.join(2 * _WAIT_S + _SEND_LIMIT_S)

@@ -25,11 +25,12 @@ _HOLDER = re.compile(r"(\d{1,10}) (.*)", re.DOTALL)
 
 @asynccontextmanager
 async def held(device: str, link: str, default_port: int | None, description: str) -> AsyncIterator[tuple[int, ...]]:
-    """Hold the lock of a link while this context lasts; DeviceRefused, naming the holder, if somebody else has it.
+    """Hold the lock of a link while this context lasts; DeviceRefused, naming the holder, if another program has it.
 
     ``link`` is a URL, completed by ``default_port``; ``device`` is for the error. ``description`` tells whoever comes
     second what this program is. Yields the descriptors of the locked files: a process that inherits them keeps the lock
-    if this one dies. Without flock (Windows) nothing is locked and none are yielded.
+    if this one dies. Without flock (Windows) nothing is locked and none are yielded. DeviceRefused as well if the lock
+    cannot be taken, for instance as a lock file is not a plain file of this user.
     """
     with ExitStack() as stack:
         names = await _names(link, default_port) if sys.platform != "win32" else ()
@@ -153,9 +154,9 @@ def _check_is_own(path: str, status: os.stat_result) -> None:
 
 
 def _other_files(folder: str, stem: str) -> Iterator[str]:
-    """Yield the paths of other users' lock files for a link, of which ``stem`` is the beginning of the name.
+    """Yield the paths in ``folder`` of other users' lock files for a link; their names begin with ``stem``.
 
-    Only regular files count that belong to the user in their name.
+    Only regular files count that belong to the user whose number is in the name. A file that vanishes is skipped.
     """
     named = re.compile(rf"{re.escape(stem)}\.(\d{{1,10}})\.lock")
     for entry in sorted(os.listdir(folder)):
@@ -208,8 +209,8 @@ def _user(uid: int) -> str:
 def _sign(stack: ExitStack, file: int, description: str) -> None:
     """Write the process id and ``description`` into the locked file; closing the stack empties and unlocks it.
 
-    ``description`` is that of this program. A failure to write is ignored, as others can fill the disk: the lock holds
-    all the same.
+    ``description`` is that of this program; the text is cut to 500 bytes. A failure to write is ignored, as others can
+    fill the disk: the lock holds all the same.
     """
     import fcntl
 

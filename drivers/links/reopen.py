@@ -20,12 +20,12 @@ class BackOff:
 async def reopen(
     lost: Openable, back_off: BackOff | None = None, seen: Callable[[], Awaitable[object]] | None = None
 ) -> int:
-    """Close and open ``lost`` until it opens, and return the number of attempts.
+    """Close and open ``lost`` until it opens, and return the number of attempts, the successful one included.
 
     Before each attempt a pause is made, from ``first_s`` to ``longest_s`` of ``back_off``, doubled each time. LinkLost
-    once ``limit_s`` would be over by the next one; the link is closed then. ``seen``, if given, checks the opened link;
-    its LinkLost counts as a failed attempt. Any other error, such as a fault or a refusal, is raised at once: the
-    device is back and says so.
+    once ``limit_s`` would be over by the next attempt; the link is closed then. ``seen``, if given, is awaited on the
+    opened link, to check it; its LinkLost counts as a failed attempt. Any other error, such as a fault or a refusal, is
+    raised at once, and the link stays open: the device is back and says so.
     """
     limits = back_off or BackOff()
     loop = asyncio.get_running_loop()

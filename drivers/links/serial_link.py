@@ -51,7 +51,8 @@ class SerialLink:
     async def open(self) -> None:
         """Open the port and start reading it in a thread, after closing one that is open.
 
-        LinkLost if it cannot be opened, with the likely reason, or not within ten seconds.
+        Bytes received before and not taken yet are dropped. LinkLost if the port cannot be opened, with the likely
+        reason, or not within ten seconds (real time).
         """
         self.close()
         self._inbox.begin()
@@ -78,7 +79,8 @@ class SerialLink:
     def write(self, data: bytes) -> None:
         """Send bytes; LinkLost if the port is not open, has ended, is gone, or does not accept all bytes within 0.2 s.
 
-        After a failed write the link has ended; bytes received before can still be read.
+        The loop is blocked meanwhile; rfc2217 has no such limit. After a failed write the link has ended; bytes
+        received before can still be read.
         """
         if self._reader is None or self._inbox.ended:
             raise LinkLost(self._device, self._inbox.ended or f"serial port {self._url} is not open")
@@ -143,9 +145,9 @@ class _Reader:
                 select.select([], [descriptor], [], max(ends_s - time.monotonic(), 0.0))
 
     def end(self) -> None:
-        """Let the thread close the port; wait half a second for that, but not for a port behind a URL.
+        """Let the thread close the port; wait half a second for that, unless it is behind a URL or not open yet.
 
-        An error of opening that nobody waits for any more is dropped.
+        A pending ``opened`` is cancelled. An error of opening that nobody waits for any more is dropped.
         """
         self._closing.set()
         with suppress(OSError):
@@ -197,7 +199,8 @@ class _Reader:
         """Put received bytes into the inbox until closing, gathered for ``gather_s``; exceptions of the port pass
         through.
 
-        Each chunk has the time of the loop at which it was handed over.
+        Each chunk has the time of the loop at which it was handed over. Bytes still being gathered on closing are
+        dropped.
         """
         wait, take = self._ways(port)
         handed_over = time.monotonic()

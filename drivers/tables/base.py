@@ -25,7 +25,10 @@ class Table:
         raise NotImplementedError
 
     async def reset_fault(self) -> None:
-        """Clear the fault of every axis that has one; DeviceFault if an axis is still in fault afterwards."""
+        """Clear the fault of every axis that has one.
+
+        DeviceFault at the first axis that has a fault or an open interlock afterwards; the next ones are left then.
+        """
         for axis in self.limits:
             if not (await self.status(axis)).fault:
                 continue

@@ -18,7 +18,8 @@ async def make_safe(
     ``unconfirmed(trouble)`` is called if the controlled stop was not confirmed, before the abort. With
     ``untrue_readings`` nothing that the table reports of the stop is believed: its power stays on for the longest
     braking time, and no abort is sent. Power is switched off in any case, within 15 s times ``time_scale`` (how fast
-    the loop's clock runs), even if the table may then coast. The result has what went wrong, empty if nothing did.
+    the loop's clock runs), even if the table may then coast. The result has what went wrong, empty if nothing did;
+    ``seen`` is whether the stop or the abort was confirmed by readings that are believed.
     """
     trouble = await tried(table.stop(), None)
     aborted = ""

@@ -54,7 +54,7 @@ def _quaternions(rows: Floats) -> Floats:
 def external_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Reference:
     """Return the reference made of rows (k, c) at ``t_ns`` (k,), NaN where unknown, by the kind of ``reference``.
 
-    Single unknown rows of a rate are dropped; those in longer gaps are kept.
+    Unknown rows of an angle are dropped, and of a rate those in short gaps; attitudes are kept as they are.
     """
     if reference.kind == "attitude":
         return AttitudeReadings(t_ns, rows)

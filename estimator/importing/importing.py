@@ -359,8 +359,8 @@ def _missing_notes(t_s: Floats) -> list[str]:
 def _interpolated(log: Log, gyro_rows: NDArray[np.intp], values: Floats | None, quantity: str) -> Floats | None:
     """Return values (rows, m) at the gyro's rows ``gyro_rows``, with blanks interpolated in time; None for None.
 
-    If one of these rows is blank, all are interpolated between complete rows. ``quantity`` names the values.
-    RecordingError if no row is complete.
+    If one of these rows is blank, all are interpolated between complete rows, and beyond them the nearest holds.
+    ``quantity`` names the values. RecordingError if no row is complete.
     """
     if values is None:
         return None

@@ -150,7 +150,7 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
     """Return the wanted columns of a text log; a row of units below the heading is kept apart.
 
     Blank lines and comments are ignored; broken lines are left out and counted. A first row without a number in any
-    wanted column is the row of units, if the log has the heading of its own. RecordingError, naming the file, if it is
+    wanted column is the row of units, unless the mapping names the columns. RecordingError, naming the file, if it is
     empty, has a heading but no rows, lacks a wanted column or has it twice, or more than 10 % of its lines are broken;
     then with the first of these and a hint.
     """

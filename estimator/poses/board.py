@@ -81,7 +81,8 @@ def locate(imus: Sequence[ImuSamples]) -> Board:
 def at_limit(outputs: Floats) -> Flags:
     """Return in which samples (n,) a column of outputs (n, c) is at the end of its range.
 
-    An extreme is the end of a range if it is held for several samples anywhere; then every sample with it is there.
+    An extreme is the end of a range if it is held for three samples anywhere; then every sample with it is there. A
+    constant column has no such end.
     """
     found = np.zeros(len(outputs), dtype=bool)
     for column in outputs.T:
@@ -103,7 +104,7 @@ def _rate(imu: ImuSamples) -> Floats:
 def _rotations(imus: Sequence[ImuSamples]) -> tuple[list[Floats], list[float]]:
     """Return the rotation (3, 3) of each IMU into the first, and its uncertainty in rad, by gravity at common rests.
 
-    The first has the identity and 0.
+    Rests are common if the middle of one is within the other's. The first IMU has the identity and 0.
     """
     from scipy.spatial.transform import Rotation
 
@@ -147,9 +148,10 @@ def _crossing(vectors: Floats) -> Floats:
 
 
 def _arms(motion: _Motion, start: Floats) -> tuple[Floats, float]:
-    """Return the arms (m, 3) in m from the first IMU, and the rms misfit, iterated from ``start`` (m, 3).
+    """Return the arms (m, 3) in m from the first IMU, and the rms misfit in m/s2, iterated from ``start`` (m, 3).
 
-    In turn the common acceleration is fitted for given arms, and the arms for given acceleration.
+    In turn the common acceleration is fitted for given arms, and the arms for given acceleration, until no arm changes
+    by 0.1 um, at most 200 times.
     """
     arms = start
     misfit = 0.0

@@ -33,7 +33,10 @@ _NUMBERS = ("factor", "freedom", "before_mps2", "after_mps2", "between_mps2")
 
 
 def write_pose_session(path: Path, session: PoseSession) -> None:
-    """Write a calibration by hand to a new file, with its folders; RecordingError if it exists or cannot be written."""
+    """Write a calibration by hand to a new file, with its folders; RecordingError if it exists or cannot be written.
+
+    A file that was begun stays after a failure.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with h5py.File(path, "x") as file:
@@ -104,7 +107,10 @@ def _texts(group: Any, name: str) -> tuple[str, ...]:
 
 
 def _put_accelerometer(group: Any, result: PoseCalibration) -> None:
-    """Write parameters and covariance in the order of their names, and the rests as columns."""
+    """Write parameters and covariance in the order of their names, and the rests as columns.
+
+    ``value`` is NaN for parameters that are not shown, ``fitted`` has all; numbers that a rest lacks are NaN.
+    """
     group.attrs.update({key: getattr(result, key) for key in _NUMBERS})
     group.attrs["unit"] = result.unit
     group.attrs["gravity_mps2"] = result.gravity.value_mps2

@@ -36,8 +36,9 @@ def check_alive(name: str, outputs: Floats) -> None:
 def faults_at_rest(outputs: Floats, spans: Sequence[StillSpan]) -> list[str]:
     """Return for each rest what is wrong with an axis in it: at a limit of its range, or stuck; "" if nothing is.
 
-    An axis stands if one value holds most samples of a rest, and far more than in its other rests: where steps are
-    coarser than the noise it does so everywhere.
+    ``outputs`` (n, 3) are of the whole file. An axis is at fault if one value holds half of the samples of a rest, and
+    twice the share that is usual in the other rests: where steps are coarser than the noise it does so everywhere. A
+    limit is the least or the largest output of the file. Only the first axis at fault is named.
     """
     found = [""] * len(spans)
     for axis, column in zip(AXES, outputs.T, strict=True):
@@ -62,7 +63,10 @@ def _mode(values: Floats) -> tuple[float, float]:
 
 
 def check_unit(name: str, means: Floats, gravity_mps2: float) -> None:
-    """Raise RecordingError if the lengths of the means (n, 3) are those of another unit than stated."""
+    """Raise RecordingError if the median length of means (n, 3), in m/s2 as stated, is off gravity by more than 40 %.
+
+    The message, about the file ``name``, says which unit they look like, if any.
+    """
     ratio = float(np.median(np.linalg.norm(means, axis=1))) / gravity_mps2
     if abs(ratio - 1) <= 2 * _OFF:
         return

@@ -91,7 +91,7 @@ class Lengths:
 
     @classmethod
     def of(cls, parameters: Intrinsic, outputs: Floats) -> Self:
-        """Return the lengths shown by outputs (n, 3)."""
+        """Return the lengths that outputs (n, 3) show under these parameters, with their derivatives."""
         inverse_cosines = np.linalg.inv(parameters.cosines)
         scaled = (outputs - parameters.offset) / parameters.scale
         dual = scaled @ inverse_cosines

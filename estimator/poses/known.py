@@ -57,7 +57,10 @@ class Accuracy:
 
 
 def check_poses(name: str, rests: Sequence[KnownRest]) -> None:
-    """Raise RecordingError if the accelerometers show another direction up than stated in any pose."""
+    """Raise RecordingError if the mean outputs of any rest are more than 30 deg off the direction up that is stated.
+
+    The message, about the files ``name``, lists all such rests.
+    """
     wrong = []
     for rest in rests:
         found = rest.mean / np.linalg.norm(rest.mean)
@@ -106,7 +109,7 @@ def known_accelerometers(rests: Sequence[KnownRest], gravity: Gravity, accuracy:
 def known_gyros(rests: Sequence[KnownRest], turns: Sequence[KnownTurn], accuracy: Accuracy) -> Triad:
     """Return the twelve states of gyros from stated turns, and their biases from the rests.
 
-    RecordingError if no rest has gyros, or a turn is not by the stated angle about the stated axis.
+    RecordingError if no rest has gyros, or a turn about its stated axis is off the stated angle by more than half.
     """
     known = [(rest.rate_rps, rest.rate_variance) for rest in rests if rest.rate_rps is not None]
     if not known:

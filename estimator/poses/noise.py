@@ -38,8 +38,9 @@ class NoiseShape:
 def noise_shape(series: list[Floats], period_s: float) -> NoiseShape:
     """Return the shape of the noise common to series of one rest each, (n,) of zero mean and unit variance.
 
-    Allan variances are pooled over all rests, from the length of a window on, and divided into its parts by weighted
-    least squares with none below zero.
+    Samples are ``period_s`` apart. Allan variances are pooled over all rests, from the length of a window on, and
+    divided into their parts by weighted least squares with none below zero. The noise is taken to be white if the rests
+    are too short for any of them.
     """
     from scipy.optimize import nnls
 

@@ -95,7 +95,10 @@ class _Linear:
 
 
 def start_of(rests: Rests, *, scale_known: bool) -> Intrinsic:
-    """Return parameters to begin with: the ideal ones, or centre and half widths of the outputs of raw counts."""
+    """Return parameters to begin with: the ideal ones, or centre and half widths of the outputs of raw counts.
+
+    An axis whose half width is below half of the median one, as it was hardly turned, gets the median.
+    """
     if scale_known:
         return Intrinsic.ideal()
     low, high = rests.outputs.min(axis=0), rests.outputs.max(axis=0)
@@ -108,7 +111,8 @@ def fit_robustly(rests: Rests, start: Intrinsic) -> tuple[NormFit, list[Doubtful
     """Return the fit of the rests that agree with each other, and the others.
 
     Rests far off the fit of those that agree best are set aside, and come back if the others predict them. The rest
-    that fits least is tested by its residual without it (Student's t, over all rests together).
+    that fits least is tested by its residual without it (Student's t, over all rests together). At least eleven rests,
+    and three quarters of all, are kept; of fewer than eleven none is tested.
     """
     from scipy.stats import t
 
@@ -232,7 +236,7 @@ def _minimised(rests: Rests, start: Intrinsic, between: float) -> Intrinsic:
 
 
 def _cost(rests: Rests, parameters: Intrinsic, between: float, regular: Floats, origin: Floats, sizes: Floats) -> float:
-    """Return half the weighted sum of squares, infinity for parameters that no triad has.
+    """Return the weighted sum of squares, infinity for parameters that no triad has.
 
     ``between`` is the scatter between rests in addition to their noise, in m/s2. ``regular`` (9,) weighs the distance
     of the parameters from ``origin`` (9,), in units of ``sizes`` (9,).

@@ -137,7 +137,10 @@ def _means_of(samples: PoseSamples, least_s: float) -> _Means:
 
 
 def _given_means(name: str, outputs: Floats) -> _Means:
-    """Return rests of which only the means (n, 3) are known."""
+    """Return rests of which only the means (n, 3) are known, with an assumed noise of 1 mg and without times.
+
+    A rest with a blank has that as its fault.
+    """
     whole: Flags = np.asarray(np.isfinite(outputs).all(axis=1))
     size = np.median(np.linalg.norm(outputs[whole], axis=1)) if whole.any() else 1.0
     return _Means(

@@ -80,7 +80,8 @@ class _Noise:
 def calibrate_turns(sessions: Sequence[GyroSamples], accelerometer: PoseCalibration) -> GyroTurnCalibration:
     """Return scales, biases and axes of three gyros from the turns between rests that the accelerometers used.
 
-    RecordingError if gyros and accelerometers contradict each other, FewTurns if too few can be used.
+    Turns that miss gravity by more than chance are refused one by one, as long as six are left. RecordingError if gyros
+    and accelerometers contradict each other, FewTurns if too few turns can be used or a gyro is dead.
     """
     sessions = [_alive(samples) for samples in sessions]
     rests = accelerometer.used
@@ -283,8 +284,8 @@ def _unusable(samples: GyroSamples, between: slice) -> str:
 def _fit(directions: _Directions, turns: Sequence[_Turn]) -> tuple[Floats, Floats, Flags, int, float]:
     """Return C (3, 3), its covariance (9, 9), which are shown (9,), degrees of freedom, and the mean square misfit.
 
-    Elements that the turns do not show have a plausible size as prior in the covariance. The misfit is 1 without
-    freedom.
+    C times output less bias is the rate; elements are by rows. If the turns do not show all of them, the covariance has
+    plausible sizes as prior. The misfit is in sigmas squared, 1 without freedom.
     """
     inverse = np.eye(3)
     root = np.eye(2 * len(turns))

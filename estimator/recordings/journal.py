@@ -95,7 +95,7 @@ class Journal:
 def lock(file: BinaryIO | int, *, alone: bool) -> bool:
     """Lock a file, exclusively (``alone``) or shared, without waiting; return whether that succeeded.
 
-    True, too, if the system has no such locks.
+    True, too, if the system or the file system has no such locks.
     """
     if fcntl is None:
         return True
@@ -123,9 +123,9 @@ def sync(path: Path) -> None:
 def is_sound(entry: Entry) -> bool:
     """Return whether a recording can hold an entry: the one rule for writing and for reading.
 
-    Groups are paths of up to four names. Rows are arrays of numbers, truth values or bytes, of at most 64 KiB a row.
-    Columns that ``LAYOUT`` describes have its dimensions and type. Samples without a time have exactly the columns
-    ``arrival_ns`` (n,) and ``rate_rps`` (n, m).
+    Groups are paths of up to four names; the root "/" has attributes only. Rows are arrays of numbers, truth values or
+    bytes, of at most 64 KiB a row, and at least one column of them. Columns that ``LAYOUT`` describes have its
+    dimensions and type. Samples without a time have exactly the columns ``arrival_ns`` (n,) and ``rate_rps`` (n, m).
     """
     kind, group, values = entry
     if not _GROUP.fullmatch(group) or not all(isinstance(name, str) and _COLUMN.fullmatch(name) for name in values):

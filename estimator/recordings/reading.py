@@ -231,7 +231,10 @@ def _read_mounting(where: str, group: Any) -> Mounting:
 
 
 def _read_sheet(where: str, group: Any) -> ForceSheet | None:
-    """Return the data sheet of the accelerometers of a source, None if it states none; RecordingError if invalid."""
+    """Return the data sheet of the accelerometers of a source; RecordingError if invalid.
+
+    None unless the source states both their prior and their noise.
+    """
     if "accel_prior" not in group.attrs or "accel_noise" not in group.attrs:
         return None
     names = [field.name for field in fields(ForcePrior)]
@@ -290,11 +293,11 @@ def _axes(group: Any, key: str) -> Floats | None:
 
 
 def _read_reference(path: Path, file: Any) -> Reference:
-    """Return the reference in an open file: readings of a table, or another instrument's rates, attitudes, turns or
+    """Return the reference in an open file: readings of a table, else another instrument's rates, attitudes, turns or
     poses.
 
-    Columns are cut to the shortest, readings that are not finite dropped, missing rates derived from angles.
-    RecordingError if there is none, or it is invalid.
+    Of a table, columns are cut to the shortest, readings that are not finite dropped, missing rates derived from
+    angles. Turns without uncertainties get 0. RecordingError if there is no reference, or it is invalid.
     """
     if "table" in file:
         where, group = f"{path}: /table", file["table"]

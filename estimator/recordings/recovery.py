@@ -66,7 +66,8 @@ def recover(path: Path) -> None:
 def _check_owner(path: Path, journal: os.stat_result) -> None:
     """Check that a journal belongs to the recording's owner, this user or root; ValueError if not.
 
-    Readers of a recording know its number, and in a shared folder anybody can put a journal beside it.
+    Readers of a recording know its number, and in a shared folder anybody can put a journal beside it. Nothing is
+    checked without a recording, or on Windows.
     """
     if os.name == "posix" and path.exists() and journal.st_uid not in (path.stat().st_uid, os.geteuid(), 0):
         raise ValueError(sentence("recordings.other_owner", path=path.name))

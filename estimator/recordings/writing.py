@@ -107,7 +107,10 @@ class RecordingWriter:
     def add_table(
         self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
     ) -> None:
-        """Declare the table: gimbals outermost first, uncertainty, and the window over which its rates are means."""
+        """Declare the table: gimbals outermost first, uncertainty, and the window (ns) over which its rates are means.
+
+        A level uncertainty of 0 is left out: nobody stated it.
+        """
         stated = asdict(uncertainty) if uncertainty is not None else {}
         if not stated.get("level_rad"):
             stated.pop("level_rad", None)  # nobody stated it
@@ -128,7 +131,7 @@ class RecordingWriter:
     def add_device(self, name: str, columns: Mapping[str, str], attributes: Mapping[str, Any]) -> None:
         """Declare the group ``device/NAME``: its attributes, and the columns of its series with their units.
 
-        RecordingError for a column name that cannot hold one number per row.
+        RecordingError for a column ``t_ns``, a name with "/", or one that ``LAYOUT`` has for several numbers a row.
         """
         for column in columns:
             known = LAYOUT.get(column, {})
@@ -155,7 +158,7 @@ class RecordingWriter:
     def append_rows(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
         """Append rows to datasets of a group, created by the first rows; if interrupted, none are appended.
 
-        RecordingError for rows that the journal cannot hold.
+        They are collected until the next flush. RecordingError for rows that the journal cannot hold.
         """
         self._note(ROWS, group, columns)
         self._pending.setdefault(group, []).append(columns)
@@ -349,7 +352,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
 
 
 def site_attributes(site: Site) -> dict[str, float]:
-    """Return the attributes of a recording that state a site; height and gravity only if they were stated."""
+    """Return the attributes of a recording that state a site; height only if it is not 0, gravity only if stated."""
     attributes = {"site_latitude_rad": site.latitude_rad, "site_heading_rad": site.heading_rad}
     if site.height_m:
         attributes["site_height_m"] = site.height_m

@@ -57,7 +57,8 @@ class AceinnaImu(CanImu):
         """Ask for software version, NAME and settings; whatever is not answered stays empty.
 
         A question is given up after 0.4 s. The settings, filters and orientation in hex, are asked for only if the NAME
-        was answered, and left empty if one of them is missing.
+        was answered, and left empty if one of them is missing. Samples that arrive meanwhile are dropped. LinkLost if
+        the bus is gone.
         """
         version = await self._ask(aceinna.SOFTWARE_VERSION)
         claim = await self._ask(aceinna.ADDRESS_CLAIM)

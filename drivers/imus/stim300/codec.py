@@ -183,8 +183,8 @@ class Stim300Decoder:
 def encode(datagrams: Datagrams, *, line_termination: bool = False) -> bytes:
     """Return the bytes of normal datagrams as the device sends them, each with CR LF if ``line_termination``.
 
-    Counters are reduced to their modulus. ValueError if a group of their identifier is missing, KeyError for another
-    identifier.
+    Counters are reduced to their modulus. ValueError if a group of their identifier is missing, KeyError if the
+    identifier is not that of a normal datagram.
     """
     layout = LAYOUTS[datagrams.identifier]
     rows = np.zeros((len(datagrams.counter), layout.size - 4), dtype=np.uint8)
@@ -205,8 +205,9 @@ def encode(datagrams: Datagrams, *, line_termination: bool = False) -> bytes:
 
 
 def encode_special(value: Special, *, line_termination: bool = False) -> bytes:
-    """Return the bytes of a special datagram, with CR LF if ``line_termination``; ValueError if the value cannot be
-    one.
+    """Return the bytes of a special datagram, with CR LF if ``line_termination``.
+
+    The id depends on both. ValueError for a part or serial number of the wrong form.
     """
     identifier = SPECIAL_IDS[type(value), line_termination]
     body = bytes([identifier]) + value.payload()

@@ -78,9 +78,9 @@ class Stim300Imu(OneSource[ByteLink]):
     async def identify(self) -> Identity:
         """Ask for configuration, serial and part number; all empty if the device does not answer the first question.
 
-        Each question is asked twice at most; an answer that does not come stays empty. Units and ranges are taken from
-        the configuration; DeviceRefused if it contradicts the bench file, LinkLost if the link is gone. Samples that
-        arrive meanwhile are kept.
+        Each question is asked twice at most, and not if its answer has come since the link was opened; an answer that
+        does not come stays empty. Units and ranges are taken from the configuration; DeviceRefused if it contradicts
+        the bench file, LinkLost if the link is gone. Samples that arrive meanwhile are kept.
         """
         for question, kind in (
             (stim300.ASK_CONFIGURATION, Configuration),
@@ -101,7 +101,7 @@ class Stim300Imu(OneSource[ByteLink]):
         )
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Yield (source, block) of about 10 ms each, the samples that arrived before first.
+        """Yield (source, block) of about 10 ms each; samples that arrived before the call come first.
 
         LinkLost when the link ends; DeviceRefused if a configuration arrives that contradicts the bench file.
         """
@@ -179,9 +179,10 @@ class Stim300Imu(OneSource[ByteLink]):
     def _block(self, data: stim300.Datagrams, arrival_ns: Stamps) -> ImuBlock | None:
         """Return a block of the new samples among these datagrams, or None if there are none.
 
-        ``arrival_ns`` (n,) is corrected by the latency that the device states, sample times by the delay of the unit in
-        use. Values that the device declares invalid are NaN, as is the temperature where the datagrams carry none; it
-        is the mean of the three gyros'. Losses that an answer caused are not counted.
+        They are timed by ``arrival_ns`` (n,) less the latency that the device states, and by the delay of the unit in
+        use; the block has the arrivals as they are. Values that the device declares invalid are NaN, as is the
+        temperature where the datagrams carry none; it is the mean of the three gyros'. Accelerations are None without
+        such a group. Losses that an answer caused are not counted.
         """
         # The device states how long it held each sample before it began to send.
         new, t_ns = self._clock.stamp(data.counter, arrival_ns - data.latency_us * 1000)
@@ -211,8 +212,8 @@ class Stim300Imu(OneSource[ByteLink]):
     def _forgive_replaced(self, counter: Stamps) -> None:
         """Subtract from the losses the samples in whose place the device sent an answer.
 
-        ``counter`` (n,) are those of the next normal datagrams. Only the first gap after an answer, of up to 8 samples,
-        is forgiven.
+        ``counter`` (n,) are those of the next normal datagrams. Only the gap before the first of them is forgiven, if
+        an answer came since the last datagram and the gap is of at most 8 samples.
         """
         if self._answered and self._last_counter >= 0:
             missing = int(counter[0] - self._last_counter) % stim300.COUNTER_MODULUS // self._ticks - 1

@@ -92,7 +92,8 @@ class Configuration:
         ``accelerometer``, ``inclinometer``, ``temperature`` and ``pps`` say which groups normal datagrams carry,
         ``line_termination`` whether CR LF ends them. ``gyro_unit`` is a code; ``accel_range_g`` holds for all three
         axes; a ``bit_rate`` that is not listed becomes "user defined". ``revision`` is a letter, ``firmware`` a number
-        of one byte. ValueError for a ``rate_hz`` that the device does not have, StopIteration for such a range.
+        of one byte. ValueError for a ``rate_hz`` that the device does not have, StopIteration for an ``accel_range_g``
+        that it does not have.
         """
         data = bytearray(21)
         data[0], data[1] = ord(revision), firmware

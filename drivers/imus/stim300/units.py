@@ -47,9 +47,9 @@ class ClusterUnit:
     def rates(self, raw: Floats, counter: Ints, t_ns: Ints, ticks: int) -> Floats:
         """Return values (n, 3) from raw numbers (n, 3); NaN stays NaN.
 
-        Increments are divided by the sample period. Integrals give the change since the previous sample, also across
-        calls; NaN if that sample, ``ticks`` of the counter (n,) earlier, is missing (by the counter or by ``t_ns``,
-        more than 0.1 s later), since wraps over a gap cannot be counted. The first sample is then NaN.
+        Increments are divided by the sample period. So is, for integrals, the change since the previous sample, also
+        across calls. That is NaN for the first sample of all, and where the previous one is missing: ``counter`` (n,)
+        has not moved by ``ticks``, or ``t_ns`` (n,) has by more than 0.1 s. Wraps over a gap cannot be counted.
         """
         if self._kind != _INTEGRATED:
             return np.asarray(raw * self._scale)

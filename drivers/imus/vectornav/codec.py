@@ -229,7 +229,8 @@ def _read_header(view: bytes, at: int) -> tuple[int, tuple[tuple[int, int], ...]
     """Return where a frame's header ends, and its (group, fields) pairs.
 
     Without a header (None): an end beyond the view if it is cut off; 0 if it is invalid, that is without fields or with
-    unknown ones, whose size is unknown. Each selector may be extended once: 14 groups, 30 fields of each.
+    unknown groups or fields, whose size is unknown. Both selectors may be extended by a second word, of groups by an
+    empty one only.
     """
     position = at + 2
     if position > len(view):

@@ -66,7 +66,8 @@ class VectorNavImu(OneSource[ByteLink]):
     async def identify(self) -> Identity:
         """Read model, hardware revision, serial number, firmware and settings; output stays paused afterwards.
 
-        LinkLost if it does not answer; DeviceRefused, DeviceFault or BadReply for its other answers.
+        Settings are the values of registers 26, 84 and 85, those left out that the firmware refuses. LinkLost if the
+        device does not answer; DeviceRefused, DeviceFault or BadReply for its other answers.
         """
         await self._pause()
         model, hardware, serial, firmware = [await self._read(register) for register in ("01", "02", "03", "04")]
@@ -102,7 +103,8 @@ class VectorNavImu(OneSource[ByteLink]):
         """Configure the device and yield blocks as bytes arrive; raises as ``configure``, and LinkLost when the link
         ends.
 
-        DeviceFault when the device reports an error, or when its clock shows that it has restarted.
+        DeviceFault when the device reports a fault of its own (errors 1 and 10), or when its clock shows that it has
+        restarted. Other errors are ignored, as are sentences and frames of other outputs.
         """
         await self.configure()
         self._start_clocks()
@@ -213,7 +215,8 @@ class VectorNavImu(OneSource[ByteLink]):
         """Send a command and return its reply; send it a second time if no reply comes within the time limit.
 
         After a repetition it waits until the second reply may have passed. DeviceRefused for an error reply, BadReply
-        if only other answers came, LinkLost if none came, DeviceFault if the device reports a fault of its own.
+        if the second try brought only answers that do not match, LinkLost if none, DeviceFault if the device reports a
+        fault of its own.
         """
         other: vectornav.Sentence | None = None
         for attempt in range(_TRIES):
@@ -245,7 +248,7 @@ class VectorNavImu(OneSource[ByteLink]):
         match it.
 
         Samples that arrive meanwhile are dropped. A reply that lies within an unfinished frame is found at the end.
-        DeviceFault if the device reports an error of its own meanwhile.
+        DeviceFault if the device reports a fault of its own meanwhile, LinkLost if the link is gone.
         """
         other: vectornav.Sentence | None = None
         try:

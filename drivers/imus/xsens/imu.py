@@ -176,8 +176,9 @@ class XsensImu(XbusDevice):
         """Return counts, arrivals, rates, temperatures and accelerations of ``samples``; None without rates or counts.
 
         ``arrival_ns`` (n,) are the arrivals of the n samples. A temperature that is missing keeps its last value;
-        missing accelerations and rates that are not finite are NaN. BadReply for the first samples with rates but no
-        count of time, or if no rates come in 100 messages.
+        missing accelerations and rates that are not finite are NaN. Rates without a count are counted as unusable.
+        BadReply for the first samples with rates if they have no count of time, or if the first 100 messages have no
+        rates.
         """
         rate = samples.numbers(mtdata2.RATE_OF_TURN)
         if rate is None:

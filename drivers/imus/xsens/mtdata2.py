@@ -125,7 +125,7 @@ class Samples:
         return _decode(self.data[:, packet.start : packet.stop], format_of(packet.data_id))
 
     def integers(self, kind: int) -> Ints | None:
-        """Return the values (n, fields) of a kind; None if the samples lack it or its fields are not integers."""
+        """Return the values (n, fields) of a key of ``KINDS``; None if the samples lack it or it has no integers."""
         packet, types = self._find(kind), KINDS[kind].integers
         if packet is None or types is None:
             return None
@@ -182,7 +182,8 @@ def _layout(data: bytes) -> tuple[Packet, ...] | None:
 def encode_mtdata2(packets: Sequence[tuple[int, Floats | Ints]]) -> bytes:
     """Return n MTData2 messages, each with one packet of every (data identifier, values (n, fields)) in ``packets``.
 
-    Fixed-point numbers are rounded and clipped. ValueError for an unknown kind or a wrong number of fields.
+    At least one packet is needed. Fixed-point numbers are rounded and clipped. ValueError for an unknown kind or a
+    wrong number of fields.
     """
     parts: list[tuple[bytes, Bytes]] = []
     for data_id, values in packets:

@@ -35,8 +35,8 @@ class XbusDevice(OneSource[ByteLink]):
 
         That is the first answer that is ``expected``, else the last one within the time limit. Answers carry no number
         of their request, and devices answer in order. A late answer can therefore only be mistaken for that to a later
-        request of the same kind; unless it is as expected, the right one is waited for. Other messages are dropped.
-        LinkLost without an answer, DeviceRefused for an Error.
+        request of the same kind; unless it is as expected, the right one is waited for. Other messages are dropped,
+        those received before as well. LinkLost without an answer, DeviceRefused as ``_find_answer``.
         """
         self._inbox.clear()
         dropped, self._hears_data = self._decoder.dropped_bytes, False
@@ -70,8 +70,8 @@ class XbusDevice(OneSource[ByteLink]):
     def _find_answer(self, mid: Mid) -> bytes | None:
         """Return the data of the first answer to ``mid`` in the inbox; None if there is none.
 
-        Messages before it are dropped. DeviceRefused if an Error comes first, except one of data overflow, and any
-        error while GoToConfig is asked, which is never refused.
+        Messages before it are dropped; data among them are noted in ``_hears_data``. DeviceRefused if an Error comes
+        first. Ignored are errors of data overflow, and all errors while GoToConfig is asked: it is never refused.
         """
         while self._inbox:
             t_ns, messages = self._inbox.popleft()

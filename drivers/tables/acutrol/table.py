@@ -79,7 +79,8 @@ class AcutrolTable(LineTable):
         """Open the link, resynchronise, and compare limits; DeviceRefused if the bench file allows more than the
         controller.
 
-        LinkLost if the controller does not answer. A controller that does not report its limits is not checked.
+        A tenth of a percent more is no difference; an axis whose limits are answered with a single number is not
+        checked. The turns counted so far are forgotten. LinkLost if the controller does not answer.
         """
         await self._exchange.open()
         for name, axis in self._axes.items():
@@ -122,7 +123,8 @@ class AcutrolTable(LineTable):
     async def home(self) -> None:
         """Move every axis to the zero of its encoder by the shorter way, and wait; angles count from there.
 
-        Raises as ``status`` for an axis in fault; DeviceRefused if homing takes more than a minute.
+        DeviceFault for an axis in fault, DeviceRefused if homing takes more than a minute; raises as ``status`` if a
+        move fails.
         """
         self.homing = set(self.limits)
         for name, axis in self._axes.items():
@@ -245,7 +247,10 @@ class AcutrolTable(LineTable):
             raise failure
 
     async def _follow(self, axis: str, task: _Task) -> None:
-        """Read the angle of a jogging axis often enough to count its turns, until it has a new task or stands."""
+        """Read the angle of a jogging axis often enough to count its turns, until it has a new task.
+
+        A jog at rate zero also ends when the axis stands.
+        """
         own, loop = self._axes[axis], asyncio.get_running_loop()
         rate = math.inf
         while own.task is task and (task.rate_dps or abs(rate) > _AT_REST_DPS):

@@ -125,7 +125,8 @@ class AerosmithTable(LineTable):
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Set acceleration and rate, and start a move to an angle from home.
 
-        ``rate_rps`` is a speed, of which the sign is ignored; DeviceRefused if it is no whole number of deg/s.
+        ``rate_rps`` is a speed, of which the sign is ignored; the acceleration is rounded down to whole deg/s2.
+        DeviceRefused if the speed is no whole number of deg/s, or the acceleration below 1 deg/s2.
         """
         rate = abs(self._whole_rate(rate_rps))
         await self._set_acceleration(acceleration_rps2)
@@ -144,8 +145,8 @@ class AerosmithTable(LineTable):
         """Read status word, angle and rate; whether a target is reached is judged by the latter two.
 
         A move is at its target at rest within 0.02 deg of it, 0.3 s after its start at the earliest; a jog within 0.1
-        deg/s of its rate. Enabled means that this driver switched the servo on and no fault bit is set: other bits are
-        unknown.
+        deg/s of its rate; without either, so is a rate below 0.1 deg/s. Enabled means that this driver switched the
+        servo on and no fault bit is set: other bits are unknown.
         """
         word = int(_value(await self._ask("STA", INTEGER), INTEGER))
         state = await self.read(axis)

@@ -140,8 +140,8 @@ class GalilTable(LineTable):
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home; an axis that moves is halted first.
 
-        ``rate_rps`` is a speed, of which the sign is ignored. DeviceRefused beyond the limits of the axis or of the
-        controller's counter.
+        ``rate_rps`` is a speed, of which the sign is ignored; it is rounded down to an even number of counts/s, at
+        least 2. DeviceRefused beyond the limits of the axis or of the controller's counter, or below half a count/s.
         """
         self._moved, letter = axis, self._axes[axis].address
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
@@ -167,8 +167,8 @@ class GalilTable(LineTable):
         """Read TS word and stop code of an axis, and TV of one that jogs.
 
         A target is reached if the axis stopped there or at home, or jogs within a thousandth (and 1 count/s) of its
-        rate. A fault is described with both codes. The interlock is said to be open if the motor is off and the abort
-        input is active.
+        rate, with its motor on. A fault is described with both codes. The interlock is said to be open if the motor is
+        off and the abort input is active.
         """
         switches, stop, fault = await self._condition(axis)
         reached = not switches.moving and stop in (galil.AT_TARGET, galil.HOMED)
@@ -256,9 +256,10 @@ class GalilTable(LineTable):
         return float((await self._ask(f"{word}{self._axes[axis].address}", galil.NUMBER)).text)
 
     async def _begin(self, axes: Iterable[str]) -> None:
-        """Start the motions that were set up; DeviceRefused if the controller refuses.
+        """Start the motions that were set up; DeviceRefused if the controller refuses: none of the axes jogs then.
 
-        A refusal of a repeated BG as "already running" is ignored: the answer to the first one was lost.
+        Stop codes of these axes that were acknowledged count again. A refusal of a repeated BG as "already running" is
+        ignored: the answer to the first one was lost.
         """
         names = list(axes)
         for axis in names:

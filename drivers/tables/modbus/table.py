@@ -107,7 +107,8 @@ class ModbusTable(Table):
     async def enable(self) -> None:
         """Step every drive to Operation enabled; one that is enabled already is left so.
 
-        DeviceFault if it is in fault, DeviceRefused if it does not change state in time.
+        A drive in quick stop loses its power first. DeviceFault if a drive is in fault or its interlock is open,
+        DeviceRefused if it does not change state within 2 s.
         """
         for axis in self._axes:
             await self._sound(axis)
@@ -207,7 +208,10 @@ class ModbusTable(Table):
             await self._read(axis, "statusword")
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (profile velocity mode) until its next command."""
+        """Turn an axis at a rate (profile velocity mode) until its next command.
+
+        DeviceRefused for a value that does not fit its register.
+        """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_VELOCITY)
         await self._write_motion(axis, "acceleration", acceleration_rps2)
@@ -255,7 +259,7 @@ class ModbusTable(Table):
         return AxisState.told(angle, rate)
 
     async def orders(self, axis: str) -> dict[str, float]:
-        """Read back the drive's last commands; registers that cannot be read are left out."""
+        """Read back the drive's last commands by register name; registers that cannot be read are left out."""
         found = {}
         for name in _ORDERS:
             with kept([]):

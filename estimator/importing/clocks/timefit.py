@@ -238,8 +238,9 @@ def _written_twice(t: Floats, values: Floats, usual: int) -> NDArray[np.bool_]:
 def _without_replays(stamps_s: Floats, values: Floats, period_s: float) -> NDArray[np.intp]:
     """Return the numbers of the rows that are not a second delivery of earlier rows.
 
-    ``period_s`` is the usual step of stamps. Stamps that go back by ten steps and more are a replay if most of the rows
-    are known already, by ``values`` (rows, m), and it is no longer than 2 s; else RecordingError.
+    ``period_s`` is the usual step of stamps. Stamps that go back by more than ten steps begin a replay, which lasts
+    until one is later than all before it. RecordingError if they go back by more than 2 s, or if fewer than half of the
+    replayed rows are known already, by ``values`` (rows, m).
     """
     keep = np.ones(len(stamps_s), dtype=bool)
     start = 0

@@ -164,7 +164,11 @@ def _rests(
 
 
 def _intrinsic(mapping: PoseMapping, force: Triad, listed: Sequence[PoseRest]) -> PoseCalibration:
-    """Return the nine intrinsic parameters that follow from twelve states, with the lengths of gravity at the rests."""
+    """Return the nine intrinsic parameters that follow from twelve states, with the lengths of gravity at the rests.
+
+    The rests in ``listed`` get their lengths after calibration; refused ones do not count for the scatter of lengths.
+    The three angles are shown all or none.
+    """
     parameters = Intrinsic.of_matrix(force.matrix, force.bias)
     means = np.array([rest.mean for rest in listed])
     after = Lengths.of(parameters, means).length_mps2.tolist()

@@ -167,7 +167,10 @@ def _imu(section: StrictTable, file_format: FileFormat) -> ImuColumns:
 
 
 def _accelerometer(section: StrictTable) -> tuple[Columns, bool]:
-    """Return the accelerometers of a section, and whether the size of their unit is known."""
+    """Return the accelerometers of a section, and whether the size of their unit is known.
+
+    It is not for raw counts without ``count``: these stay counts along x, y, z. The section's error if it is invalid.
+    """
     unsized = section.text_of("unit") == "raw" and not section.has("count")
     if not unsized:
         return section.whole(read_accelerometer), True

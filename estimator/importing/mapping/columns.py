@@ -35,8 +35,9 @@ def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *,
     """Return the columns that a table names under ``key``, with their conversion to SI.
 
     The conversion is a unit of ``quantity``, or the size of a count; unless ``count_needed``, a count without a size is
-    one degree per second. ``offset`` in the table is the value for zero, in the unit of the column. The section's error
-    for a unit or count that is missing or wrong.
+    one ``count_unit``, by default one degree per second. ``offset`` in the table is the value for zero, in the unit of
+    the column. The width is 1 for the key "column", else 3. The section's error for a unit or count that is missing or
+    wrong.
     """
     units, names, offset = UNITS[quantity], section.strings(key), section.number("offset", 0.0)
     unit = section.string("unit", one_of=(*units, "raw"))

@@ -260,7 +260,8 @@ def _reference_file(
 def read_format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
     """Return the file format of a section; the section's error for invalid limits or delimiters.
 
-    ``protocols`` are further formats, which may look for files in ``folder``.
+    Text is of kind csv, also where the section says tsv. ``protocols`` are further formats, which may look for files in
+    ``folder``.
     """
     limits = section.stated(KEYS["file"])
     for what in ("row", "s"):

@@ -58,7 +58,10 @@ class BodyRates:
     """
 
     def __init__(self, gimbals: Sequence[str], site: Site | None) -> None:
-        """Start empty, for gimbals named outermost first; RecordingError for unknown gimbals."""
+        """Start empty, for gimbals named outermost first; RecordingError for unknown gimbals.
+
+        The rates include that of the Earth at ``site``, none of it without a site.
+        """
         self._gimbals = check_gimbals(gimbals)
         n = len(self._gimbals)
         # Readings as they came, and how many of them are among the rows: those after it wait for the end of a ramp.
@@ -175,9 +178,10 @@ class BodyRates:
                 return
 
     def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp | None]]:
-        """Return the ramps between the readings before ``start`` and before ``stop``: (column, corners, ramp).
+        """Return the ramps between the readings before ``start`` and before ``stop``: (gimbal, corners in ns, ramp).
 
-        A change that is no ramp has neither corners nor ramp. Readings before ``until`` count, by default to a change.
+        Readings before ``until`` are fitted; by default those up to the next change, or 3 s after. A change that cannot
+        be fitted is listed, without corners and ramp, only if the table averages its rates. Empty before the first row.
         """
         if not len(self._rows):
             return []
@@ -215,11 +219,11 @@ class BodyRates:
         return found
 
     def _append(self, start: int, stop: int, changes: list[tuple[int, Stamps, Ramp | None]]) -> None:
-        """Append readings ``start`` to ``stop`` as rows, with averaged rates and unmeasured rows for the corners of
-        ramps.
+        """Append readings ``start`` to before ``stop`` as rows, with rates at their instants and rows for the corners
+        of ramps.
 
-        ``changes`` has the gimbal's column, corners and ramp of each change of rate; one whose ramp is None leaves the
-        steps unknown.
+        ``changes`` has the gimbal's column, corners and ramp of each change of rate, as ``_ramps`` returns them; one
+        whose ramp is None leaves the steps unknown. The rows of corners count as not measured.
         """
         self._taken = stop
         ramps = [(column, corners, ramp) for column, corners, ramp in changes if ramp is not None]
@@ -293,8 +297,9 @@ class BodyRates:
             self._final["sure"][0] = False
 
     def at(self, t_ns: Stamps) -> Floats:
-        """Return the body rate (rows, 3) in rad/s at instants between the first and last final reading; NaN if
-        unknown.
+        """Return the body rate (rows, 3) in rad/s at ordered instants (rows,) in ns; NaN where it is not known.
+
+        The instants lie between the first and the last final reading; beyond them the nearest reading holds.
         """
         angle, rate = self.gimbals_at(t_ns)
         w = body_rate(angle, rate, self._gimbals, self._site)
@@ -308,7 +313,10 @@ class BodyRates:
         return angle, rate
 
     def _interpolated(self, t_ns: Stamps, *names: str) -> list[Floats]:
-        """Return columns of final rows (rows, gimbals) at ordered instants; beyond them, those of the nearest."""
+        """Return the named columns of final rows, each (rows, gimbals), at ordered instants, linear in between.
+
+        Beyond the final rows the values are those of the nearest.
+        """
         n, times = len(self._final), self._final["t_ns"]
         first = min(max(int(times.searchsorted(t_ns[0], side="right")) - 1, 0), n - 1)
         last = max(min(int(times.searchsorted(t_ns[-1], side="left")) + 1, n), first + 1)
@@ -361,7 +369,7 @@ class BodyRates:
         return np.clip(t_ns - round(delay_s * 1e9), self.starts_ns, self.final_until_ns)
 
     def _let_go(self) -> None:
-        """Forget rows and readings that no window needs any more."""
+        """Forget rows and readings that no window needs any more: those 60 s before the newest, final rows excepted."""
         gone = int(np.searchsorted(self._rows["t_ns"][: max(self._done - 1, 0)], self._rows["t_ns"][-1] - _KEPT_NS))
         self._rows.forget(gone)
         self._done -= gone
@@ -371,10 +379,10 @@ class BodyRates:
         self._taken -= gone
 
     def _terms(self, part: slice, origin: int) -> Floats:
-        """Return sums (k + 1, 8, gimbals) of w [1, s, s^2, d, s d, d^2, u] and [1] before each row, in that order.
+        """Return sums (k + 1, 8, gimbals) of w [1, s, s^2, d, s d, d^2, u] and [1] before each row of ``part``.
 
         s is time, d angle minus integrated rate, both relative to row ``origin``; u the variance from the instants, w
-        weight.
+        weight. Rows of corners, which were not measured, count nothing.
         """
         rows = {name: self._rows[name] for name in ("t_ns", "angle", "rate", "summed", "half_s", "measured")}
         s, drift = ((rows["t_ns"] - rows["t_ns"][origin]) * 1e-9)[part, None], (rows["angle"] - rows["summed"])
@@ -387,7 +395,10 @@ class BodyRates:
         return np.concatenate([np.zeros_like(terms[:1]), np.cumsum(terms, axis=0)])
 
     def _refine_up_to(self, stop: int) -> None:
-        """Make rows up to ``stop`` final: correct their rates by the angles around, mark which are reliable."""
+        """Make rows up to ``stop`` final: correct their rates by the angles around, mark which are reliable.
+
+        Rows that are final already stay as they are.
+        """
         start, times = self._done, self._rows["t_ns"]
         if stop <= start:
             return
@@ -408,7 +419,10 @@ class BodyRates:
         self._done = stop
 
     def _timed(self, start: int, stop: int, share: Floats) -> Flags:
-        """Return whether each rate since the reading before is known in spite of its instant's doubt (``share``)."""
+        """Return as flags (rows,) whether the rates since the row before are known in spite of their instants' doubt.
+
+        ``share`` (rows, gimbals) is the part of the doubt's variance that the scatter of the angles shows to be real.
+        """
         before = np.maximum(np.arange(start, stop) - 1, 0)
         change = np.abs(self._rows["rate"][start:stop] - self._rows["rate"][before])
         step_s = np.maximum((self._rows["t_ns"][start:stop] - self._rows["t_ns"][before]) * 1e-9, 1e-9)[:, None]

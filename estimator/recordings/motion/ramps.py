@@ -189,8 +189,9 @@ def with_corners(
 ) -> tuple[Stamps, Floats, Floats, Floats]:
     """Return readings with the corners of ramps inserted: instants (m,), angles, rates, doubts of corners in s.
 
-    ``known_ns`` (n + 1,), ``angles`` and ``rates`` (n + 1, gimbals) are the readings and the row before them. Each ramp
-    is (column, instants of its corners, ramp). Doubts (m, gimbals) are NaN where a gimbal has no ramp.
+    ``known_ns`` (n + 1,), ``angles`` and ``rates`` (n + 1, gimbals) are the readings and the row before them, which is
+    not returned. Each ramp is (column, instants of its corners in ns, ramp). Corners beyond the readings are left out.
+    Doubts (m, gimbals) are NaN where a gimbal has no ramp.
     """
     inside = [corners[(corners > known_ns[0]) & (corners < known_ns[-1])] for _, corners, _ in ramps]
     t_ns = np.unique(np.concatenate([known_ns[1:], *inside]))
@@ -236,7 +237,7 @@ def _through_rest(readings: Readings, first: int, last: int) -> Iterator[tuple[F
 
     ``readings`` as for ``fitted``, start and flags of held parameters as for ``_polylines``: the rate in the middle is
     held at zero. The lines of both ramps are fitted well between rest and the steady rate, where there is no corner.
-    None if the axis does not turn before and after, or a ramp has too few readings.
+    Nothing if the axis does not turn before and after, or a ramp has too few readings.
     """
     t_s, angle_rad, rate_rps, _, _ = readings
     at_s, rates = between_readings(t_s[max(first - 1, 0) : last + 2], angle_rad[max(first - 1, 0) : last + 2])
