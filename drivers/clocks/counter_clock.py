@@ -126,7 +126,7 @@ class CounterClock:
         """Return counters continued over wraps (n,), and whether each is exactly one sample after the one before.
 
         ``counter`` (n,) is continued from the last count, or from its own first value after a restart. A step back by
-        up to two samples, seen as one just short of a whole wrap, counts as backwards. Whole wraps are added where
+        less than two samples, seen as one just short of a whole wrap, counts as backwards. Whole wraps are added where
         ``last_arrival_ns``, the arrival of the last sample, shows them; if all steps are even, only if it shows them
         clearly.
         """

@@ -181,7 +181,8 @@ class RegularClock:
         """Return the excess (s) of samples that are not late, or the best guess of it while nothing has been learned.
 
         The guess is the least excess of samples timed so far; before any, that of ``excess`` (n,). If those contain a
-        doubled one, only the samples up to it are used, as all later ones seem early.
+        doubled one, only the samples up to it are used, as all later ones seem early; all are, if most equal the one
+        before.
         """
         if self._lateness.learned:
             return self._lateness.least_s

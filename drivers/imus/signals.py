@@ -69,10 +69,10 @@ class SignalReader:
         """Look up ``name``, a ``MESSAGE.Signal``, in cantools' ``database``; DeviceError if it is missing or
         unsuitable.
 
-        Unsuitable is one whose unit is unknown for its ``quantity``, or that does not lie within 8 bytes. ``quantity``
-        is a key of ``UNITS``, or "count" for a plain number; ``unit`` takes precedence over the DBC's own. With
-        ``saturates``, values at the ends of the DBC's range count as missing, as the true value may be beyond.
-        ``device`` and ``dbc`` are for the error messages.
+        Unsuitable is one whose unit is unknown for its ``quantity``, that does not lie within 8 bytes, or a float of
+        other than 32 or 64 bits. ``quantity`` is a key of ``UNITS``, or "count" for a plain number; ``unit`` takes
+        precedence over the DBC's own. With ``saturates``, values at the ends of the DBC's range count as missing, as
+        the true value may be beyond. ``device`` and ``dbc`` are for the error messages.
         """
         message_name, _, signal_name = name.partition(".")
         try:

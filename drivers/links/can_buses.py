@@ -105,7 +105,8 @@ class SocketcandBus(can.BusABC):
     """One bus of a socketcand server, in raw mode over TCP."""
 
     def __init__(self, channel: str, host: str, port: int = SOCKETCAND_PORT, **options: Any) -> None:
-        """Connect to the server and open its bus ``channel`` in raw mode; OSError or CanError if that fails.
+        """Connect to the server and open its bus ``channel`` in raw mode; if that fails, disconnect and raise OSError
+        or CanError.
 
         Each step may take 2 s. Frames that arrive meanwhile are kept for ``frames``. ``options`` go to python-can's
         bus.
@@ -163,7 +164,7 @@ class SocketcandBus(can.BusABC):
         return found
 
     def _elements(self) -> list[str]:
-        """Receive once and return the complete elements ``< ... >``; keep the beginning of the next one.
+        """Receive once and return the complete elements ``< ... >``; keep what follows them, at most 256 bytes.
 
         CanOperationError if the connection fails or the server has closed it.
         """

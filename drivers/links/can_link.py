@@ -174,7 +174,7 @@ class CanLink:
 
         Frames of slcan and socketcand are read in batches, which have one stamp. Stamps of interfaces that the kernel
         stamps are corrected for the age of the frame, of at most 1 s. Error frames and bus-off are counted, except with
-        slcan and socketcand. Exceptions of the bus pass through.
+        slcan and socketcand; error and remote frames are not handed on. Exceptions of the bus pass through.
         """
         scale = loop_scale(loop)
         by_kernel = self._interface in _STAMPED_BY_KERNEL

@@ -182,6 +182,9 @@ class _Reader:
     def _open(self) -> Any:
         """Open the port with pyserial, exclusively, and drop the backlog of a local one; pyserial's exceptions pass
         through.
+
+        Its reads do not wait if there is a descriptor to wait on, else 0.1 s; its writes wait 0.2 s, except for
+        rfc2217.
         """
         import serial
 

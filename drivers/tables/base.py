@@ -81,8 +81,8 @@ class Table:
     ) -> str:
         """Stop all axes, the one moved last first, wait until they stand, and return in words what was seen.
 
-        ``tell(axis)`` sends the stop, ``read(axis)`` reads the axis, ``idle(axis)`` tells whether the controller moves
-        it; see ``bring_to_rest``, also for what is raised.
+        ``tell(axis)`` sends the stop, ``read(axis)`` reads the axis, ``idle(axis)`` is true if the controller carries
+        out no motion of it; see ``bring_to_rest``, also for what is raised.
         """
         axes = sorted(self.limits, key=lambda axis: axis != self._moved)
         return await bring_to_rest(self._device, axes, tell, read, self._timeout_s, idle)

@@ -23,8 +23,8 @@ ExternalRows = tuple[Floats, Floats]
 def reference_rows(reference: Measured, table: Table) -> Floats:
     """Return the rows of a reference in a file: attitudes (rows, 4) as w x y z, rates (rows, 3) or angles (rows, 1).
 
-    Attitudes are body to reference, also where the columns are rotation matrices. Invalid attitudes are NaN.
-    RecordingError if no row is usable.
+    Attitudes are body to reference, also where the columns are rotation matrices. They are scaled to length 1; those
+    off by more than 5 % are NaN. RecordingError if no row is usable.
     """
     rows = table.values(reference.columns, f"[reference] column{'s' * (reference.kind != 'angle')}")
     if reference.columns.width == _MATRIX:

@@ -59,8 +59,8 @@ def fitted(recording: Recording, source: str, gyro: GyroColumns) -> tuple[Record
     (m,).
 
     ``source`` is the only one of the recording, ``gyro`` its mapping. The prior is widened where gyros are far off.
-    Factors are None if no scale was asked for. RecordingError if a gyro follows the rate about another axis than
-    stated.
+    Factors are None if no scale was asked for. RecordingError if a gyro follows the rate about an axis more than 45 deg
+    off the stated one; smaller deviations are noted.
     """
     found, data, notes, factors = _gains(recording, source), recording.sources[source], list[str](), None
     if gyro.sign_from_data or gyro.scale_from_data:
@@ -161,8 +161,8 @@ def _signs(array: SensorArray, gains: Sequence[_Gain | None], notes: list[str]) 
 def _factors(array: SensorArray, gains: Sequence[_Gain | None], gyro: GyroColumns, notes: list[str]) -> Floats:
     """Return the factor (m,) for each output, rounded to three digits; what remains is its scale factor error.
 
-    It is 1 where the output is right to 10 %, and the median of the others where the motion does not show it. What was
-    applied is appended to ``notes``.
+    It is 1 where the output is right to 10 %, and the median of the others where the motion does not show it, 1 if it
+    shows none. What was applied is appended to ``notes``.
     """
     size_dps = float(np.degrees(gyro.columns.scale)) if gyro.columns.raw else 1.0
     own = [abs(1 / gain.factor) if gain and gain.told and gain.factor else np.nan for gain in gains]

@@ -99,7 +99,9 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
 
 
 def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused]]:
-    """Return the data of one file (None if no section is left) and its refused sections; RecordingError if unusable."""
+    """Return the data of one file (None if no section is left) and its refused sections; RecordingError if unusable.
+    Left out are rows without the gyro, as in logs of several devices, rows that repeat it, and samples far off others.
+    """
     reference, beside, array = mapping.reference, mapping.reference_file, mapping.gyro.array
     measured = reference if isinstance(reference, Measured) and not beside else None
     label = None if isinstance(reference, Measured) else reference.cuts.column
@@ -123,7 +125,6 @@ def _read_part(mapping: Mapping, path: Path) -> tuple[_Part | None, list[Refused
     spans, rests, found, known = list[Span](), list[Rest](), list[str](), None
     if isinstance(reference, StatedTurns):
         spans, left_out = turn_spans(mapping, reference, log, rate)
-    # Logs of several devices have rows without this one; a gyro that is read too often repeats itself.
     own = np.flatnonzero(np.isfinite(rate[time.rows]).any(axis=1))
     own = own[_new_rows("the gyro", time.t_s[own], rate[time.rows[own]], notes)]
     kept, odd = without_odd("gyro", time.t_s[own], rate[time.rows[own]], array.names)
@@ -427,7 +428,7 @@ def _joined_recording(mapping: Mapping, parts: list[_Part], refused: list[Refuse
 def _told_once(parts: Sequence[_Part]) -> list[str]:
     """Return the notes on all files; of a single file as they are, else with the name of the file.
 
-    Notes of several files that differ only in numbers are combined with their count.
+    Equal notes of several files are combined with their count, and so are more than three that differ only in numbers.
     """
     if len(parts) == 1:
         return [*parts[0].notes]

@@ -167,8 +167,9 @@ def _matlab(path: Path) -> _File:
 def _text(path: Path) -> _File:
     """Return the content of a text file, with guesses of delimiter, decimal mark and heading.
 
-    At most 20 MB and ``_MOST_ROWS`` lines are looked at; lines of another width are skipped. Columns without numbers
-    are kept as texts. RecordingError if it is no text or has fewer than three lines.
+    At most 20 MB and ``_MOST_ROWS`` lines are looked at; lines of another width are skipped. Columns with numbers in a
+    fifth of the rows at most are kept as texts, unless they are blank. RecordingError if it is no text or has fewer
+    than three lines.
     """
     raw = read_bytes(path, RecordingError, name=path.name)[:20_000_000]
     text = raw.decode("utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", errors="replace")

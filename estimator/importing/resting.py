@@ -195,8 +195,8 @@ def _gravity_notes(accel: Floats) -> list[str]:
 def _rest_with_directions(samples: _Samples, first: int, stop: int, pose: Pose) -> Rest:
     """Return the rest of the rows from ``first`` to before ``stop`` with its directions.
 
-    Up is as stated in ``pose``, else as measured, else None; north is stated or None. RecordingError if up as stated
-    and measured are more than 30 deg apart.
+    Up is as stated in ``pose``, else as measured, else None; north is stated or None, made perpendicular to up.
+    RecordingError if up as stated and measured are more than 30 deg apart.
     """
     up = None if pose.up is None else np.array(pose.up)
     north, found = None, None

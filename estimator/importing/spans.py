@@ -171,7 +171,8 @@ def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
 def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn: Turn) -> Span:
     """Return the turn of these samples, with its uncertainty, after checking it; incomplete rows are left out.
 
-    RecordingError if there are too few, they do not begin and end at rest, or turn otherwise than stated in ``turn``.
+    A turn by 0 is a rest: its mean rate is checked, and its uncertainty is that of a rest. RecordingError if there are
+    too few rows, they do not begin and end at rest, or turn otherwise than stated in ``turn``.
     """
     whole = np.isfinite(rate).all(axis=1)
     t_s, rate = t_s[whole], rate[whole]

@@ -43,7 +43,7 @@ def over_midnight(stamps_s: Floats) -> Floats:
 
 
 def pattern_of(texts: Sequence[str]) -> str | None:
-    """Return ``ISO`` or the first pattern that reads all texts; None if there is none."""
+    """Return ``ISO`` or the first of ``PATTERNS`` that reads all texts; None if there is none, ``ISO`` for no texts."""
     for pattern in (ISO, *PATTERNS):
         try:
             for text in texts:

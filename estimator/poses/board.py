@@ -48,7 +48,8 @@ class _Motion:
 def locate(imus: Sequence[ImuSamples]) -> Board:
     """Return rotations and arms of IMUs against the first, from samples of fast turns.
 
-    Samples at or beside the limit of any sensor are left out. RecordingError for too few IMUs or samples.
+    Fast are samples above a tenth of the fastest rate. Samples with blanks, and at or beside the limit of any sensor,
+    are left out. RecordingError for fewer than three IMUs or 200 samples.
     """
     if len(imus) < _FEWEST_IMUS:
         raise RecordingError(f"arms between {len(imus)} IMUs are not estimated: {_FEWEST_IMUS} and more are needed")

@@ -66,7 +66,10 @@ def find_rests(t_s: Floats, outputs: Floats, least_s: float) -> list[StillSpan]:
 
 
 def _scatters(t_s: Floats, cells: Floats, means: Floats, period_s: float) -> tuple[Floats, Flags]:
-    """Return the scatter (k,) of windows that begin at each cell (n, rows, c), and which are without gap or blank."""
+    """Return the scatter (k,) of windows of five cells, all columns together, and which are without gap or blank.
+
+    A window begins at each of the ``cells`` (n, rows, c) but the last four; ``means`` (n, c) are those of the cells.
+    """
     rows = cells.shape[1]
     moments = np.stack([means, (cells**2).mean(axis=1)])
     padded = np.concatenate([np.zeros((2, 1, cells.shape[2])), np.cumsum(np.nan_to_num(moments), axis=1)], axis=1)
@@ -79,8 +82,9 @@ def _scatters(t_s: Floats, cells: Floats, means: Floats, period_s: float) -> tup
 
 
 def _still_scatter(scatter: Floats, means: Floats, complete: Flags) -> float:
-    """Return the largest scatter (k,) of windows at rest; infinity if nothing moves.
+    """Return the largest scatter that a window at rest has; infinity if nothing moves.
 
+    ``scatter`` (k,) is that of windows, of which the ``complete`` (k,) count; ``means`` (n, c) are those of cells.
     Rests in a hand are a class of their own, above those on a table: the windows of the next class are at rest, too, if
     from one to the next their mean changes less than they scatter. In a turn it changes by three times as much.
     """
@@ -145,7 +149,8 @@ class _Classes:
 def _steady(means: Floats, first: int, stop: int) -> list[tuple[int, int]]:
     """Return the parts (first, stop) of a run of cells over which their means (n, c) do not step.
 
-    A step is the division whose sides differ most beyond the scatter of neighbouring cells.
+    A step is the division whose sides differ most beyond the scatter of neighbouring cells; it must be larger than
+    chance and than a hundredth of the mean. Empty for an empty run.
     """
     from scipy.stats import norm
 

@@ -198,8 +198,8 @@ def _rows(samples: GyroSamples, rest: PoseRest) -> slice:
 def _noise(sessions: Sequence[GyroSamples], rests: Sequence[PoseRest]) -> _Noise:
     """Return the noise of the gyros at rest, common to all axes, and their biases.
 
-    It is white noise within the rests and a walk from rest to rest. A rest in which the device turns counts neither for
-    the biases nor as one of its own. FewTurns for a rest of fewer than two samples.
+    It is white noise within the rests and a walk from rest to rest. A rest in which the device turns does not count for
+    the bias, and gets that of the others. FewTurns for a rest of fewer than two samples.
     """
     from scipy.stats import chi2, norm
 
@@ -240,7 +240,8 @@ def _turns(
 ) -> tuple[list[_Turn], list[RefusedTurn]]:
     """Return the turns between neighbouring rests of a file, and those that cannot be used, with reasons.
 
-    The rate within a turn is given less the mean bias of the two rests. A turn is refused if a rest between was.
+    The rate within a turn is given less the mean bias of the two rests. A turn is refused if a rest between was, or as
+    ``_unusable`` says.
     """
     by_name = {samples.name: samples for samples in sessions}
     turns: list[_Turn] = []
@@ -268,7 +269,7 @@ def _turns(
 def _unusable(samples: GyroSamples, between: slice) -> str:
     """Return why the samples of a turn, the rows ``between``, cannot be summed up; "" if they can.
 
-    Samples are missing, or a gyro stays at the largest or least value of its file.
+    Samples are missing, or a gyro stays at the largest or least value of its file for three samples.
     """
     t_s, rate = samples.t_s[between], samples.rate_rps[between]
     if np.diff(t_s).max() > _LOST_STEPS * float(np.median(np.diff(samples.t_s))):

@@ -160,9 +160,10 @@ def _is_column(name: str, column: Any) -> bool:
 
 
 def _is_attribute(value: Any) -> bool:
-    """Return whether HDF5 can store a value as an attribute: a text, a number, or several of the same kind.
+    """Return whether HDF5 can store a value as an attribute: a text, a number, or several of the same kind, or none.
 
-    Neither too large nor with the character 0.
+    False above ``_MOST_ATTRIBUTE_BYTES`` of numbers, or of references to texts at 16 bytes each, above
+    ``_MOST_TEXT_BYTES`` of text, and for texts with the character 0.
     """
     if isinstance(value, np.ndarray):
         return bool(_TYPE.fullmatch(value.dtype.str)) and value.nbytes <= _MOST_ATTRIBUTE_BYTES

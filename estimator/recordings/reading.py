@@ -184,7 +184,8 @@ def _read_series(path: Path, file: Any) -> dict[str, Series]:
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
     """Return the samples of one source in its group; columns are cut to the shortest.
 
-    Impossible rates become NaN and count as lost. RecordingError if columns are missing or do not fit the axes.
+    Impossible rates become NaN and count as lost. A nominal rate that is not above 0 counts as not stated, a missing
+    prior is the usual one. RecordingError if columns are missing or do not fit the axes.
     """
     where = f"{path}: /imu/{name}"
     present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]

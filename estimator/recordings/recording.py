@@ -56,7 +56,7 @@ class Mounting:
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """The attributes of a source in a file that state it; none of a device along the table's axes."""
+        """The attributes of a source in a file that state it: axes other than the table's, and ``sd_rad`` if stated."""
         found: dict[str, Any] = {}
         if not np.array_equal(self.axes, np.eye(3)):
             found["mounting"] = self.axes

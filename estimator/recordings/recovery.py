@@ -117,7 +117,7 @@ def _fold_in_journal(path: Path, journal: Path, file: BinaryIO) -> str:
 
 
 def _is_readable(path: Path) -> bool:
-    """Return whether a recording can be read completely, tried in a separate process."""
+    """Return whether a file can be read completely, tried in a separate process, and has the format of a recording."""
     try:
         probe(path)
         with h5py.File(path, "r") as file:
@@ -151,7 +151,7 @@ def _holds_all_of(path: Path, other: Path, *, names_only: bool = False) -> bool:
 def _begins_with(rows: h5py.Dataset, beginning: h5py.Dataset) -> bool:
     """Return whether the first rows of a dataset are all those of another, bit by bit, and types and widths are equal.
 
-    A dataset without rows must be equal.
+    One without dimensions, a single value, must be equal.
     """
     if not beginning.shape or not rows.shape:
         return bool(rows.shape == beginning.shape and np.array_equal(rows[()], beginning[()]))
@@ -173,7 +173,9 @@ def _is_longer(path: Path, other: Path) -> bool:
 def _holds_more_than(path: Path, other: Path) -> bool:
     """Return whether a recording has all samples of another and more, and all of them were really written.
 
-    After a power cut a file may count rows that never reached the disk: they read as zeros.
+    After a power cut a file may count rows that never reached the disk: they read as zeros. So the further samples must
+    have increasing times, and no more than a few zeros in a row unless those before have many. Sources without rates in
+    the other are passed over.
     """
     more = False
     with h5py.File(path, "r") as file, h5py.File(other, "r") as part:
@@ -280,7 +282,8 @@ class _JournalContent:
     def is_of(self, path: Path) -> bool:
         """Return whether a recording belongs to this journal's run: both have the same identity.
 
-        Older files have none: they belong together if their common attributes of the beginning agree.
+        Older files have none: they belong together if their common attributes of the beginning agree, those apart that
+        the journal changes later.
         """
         root = self._attributes["/"]
         with h5py.File(path, "r") as file:

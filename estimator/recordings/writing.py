@@ -107,9 +107,8 @@ class RecordingWriter:
     def add_table(
         self, gimbals: tuple[str, ...], uncertainty: TableUncertainty | None = None, rate_window_ns: int = 0
     ) -> None:
-        """Declare the table: gimbals outermost first, uncertainty, and the window (ns) over which its rates are means.
-
-        A level uncertainty of 0 is left out: nobody stated it.
+        """Declare the table: gimbals outermost first, the window (ns) over which its rates are means, the uncertainty,
+        and that of its level only if it is not 0.
         """
         stated = asdict(uncertainty) if uncertainty is not None else {}
         if not stated.get("level_rad"):
@@ -321,7 +320,7 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
 def write_recording(path: Path | str, recording: Recording) -> None:
     """Write a complete recording, such as an imported one: site, reference, sources and series of other devices.
 
-    RecordingError if the file exists or cannot be written.
+    RecordingError if the file exists or cannot be created; rows for which there is no room are lost without an error.
     """
     writer = RecordingWriter(Path(path), recording.attributes)
     try:

@@ -214,8 +214,8 @@ class CanImu(OneSource[FrameLink]):
         """Return source name, arrivals (n,) in ns and rates (n, m) of samples since the last call, before they are
         timed.
 
-        Only sources with new samples are listed. The first call returns nothing: from it on, samples are kept for the
-        next call.
+        Only sources with new samples are listed; frames of a wrong length count for none. The first call returns
+        nothing: from it on, samples are kept for the next call.
         """
         frames, self._fresh = self._fresh or [], []
         leading: dict[_Inlet, list[Frame]] = {}
@@ -362,9 +362,8 @@ class _Source:
     def _whole(self, *, flush: bool) -> list[Piece]:
         """Take the waiting leading frames whose companions have come or will not come any more.
 
-        Only the newest may have to wait for one; ``flush`` takes it as well. Frames that carry none of the
-        multiplexed rates are dropped. Empty if no frame waits; companions that nothing can match any more are then
-        dropped.
+        Only the newest may have to wait for one; ``flush`` takes it as well. Frames that lack a multiplexed rate are
+        dropped. Empty if no frame waits; companions that nothing can match any more are then dropped.
         """
         waiting = self.lead.waiting
         for signal in self._signals.rates:

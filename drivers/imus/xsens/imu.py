@@ -296,8 +296,8 @@ class _Timing:
         """Return as flags (n,) which counts continue the ones before and are not ahead of their arrival; count the
         others.
 
-        A count may be up to two samples behind the newest. That it is more than 0.25 s ahead of its arrival is looked
-        at only after 2 s.
+        A count may be less than two samples behind the newest. That it is more than 0.25 s ahead of its arrival is
+        looked at only after 2 s.
         """
         if self._newest is None:
             self._first = self._newest = int(count[0])

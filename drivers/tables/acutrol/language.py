@@ -51,8 +51,9 @@ class AcutrolFraming:
     def __init__(self, axis_number: int, largest_rate_dps: float, prefix_length: int) -> None:
         """Prepare for a token that writes and reads back the rate limit of axis ``axis_number``.
 
-        The numbers written stay below ``largest_rate_dps``, what the axis may have as a limit. ``prefix_length`` is the
-        number of bytes before each answer.
+        The numbers written are from 1 to 99.99 deg/s and stay below ``largest_rate_dps``, what the axis may have as a
+        limit; if that is less than 2 deg/s, they go up to 2. ``prefix_length`` is the number of bytes before each
+        answer.
         """
         self._axis, self._prefix = axis_number, prefix_length
         self._largest = min(max(int(largest_rate_dps * 100) - 1, 200), 9999)

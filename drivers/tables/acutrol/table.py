@@ -156,8 +156,10 @@ class AcutrolTable(LineTable):
     async def status(self, axis: str) -> AxisStatus:
         """Read mode and interlock of an axis, and the status byte for the text of a fault.
 
-        A fault is one of the interlock. Enabled means any mode but off, with the interlock neither open nor in fault. A
-        DeviceError of a move or jog in progress is raised instead.
+        A fault is one of the interlock, which is then reported as open, too. Enabled means any mode but off, with the
+        interlock neither open nor in fault. An enabled axis has reached its target at the end of its move, at the rate
+        of its jog to 0.02 deg/s, and always without either. The DeviceError of a move or jog that failed is raised
+        instead.
         """
         self._raise_failure()
         interlock, mode = await self._interlock(axis), await self._mode(axis)
@@ -229,8 +231,8 @@ class AcutrolTable(LineTable):
         """Carry out a task until it ends; ``leg`` is the kind of leg that a move has begun with, as ``_begin_leg``
         returns it.
 
-        A DeviceError is kept, for the next call to raise, unless the axis has a new task or another error is kept
-        already.
+        A DeviceError is kept, for the next ``read`` or ``status`` to raise, unless the axis has a new task or another
+        error is kept already.
         """
         try:
             if task.target_deg is None:

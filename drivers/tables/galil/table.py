@@ -67,7 +67,8 @@ class GalilTable(LineTable):
     async def enable(self) -> None:
         """Switch on every motor that is off, where it stands, with its error limit if that is stated.
 
-        DeviceFault if an axis is in fault or its motor stays off.
+        The controller is told to switch it off on errors. Motors that are on are left alone. DeviceFault if an axis is
+        in fault or its motor stays off.
         """
         for axis, own in self._axes.items():
             if (await self._sound(axis)).enabled:
@@ -208,7 +209,8 @@ class GalilTable(LineTable):
     async def reset_fault(self) -> None:
         """Acknowledge the faults within this driver; DeviceFault if the cause of one is still present.
 
-        A Galil has no command for it: a motor that was switched off is switched on again by ``enable``.
+        A Galil has no command for it: a motor that was switched off is switched on again by ``enable``. A cause is
+        present while the abort input is active, or the following error of a motor that is on is too large.
         """
         for axis in self._axes:
             switches, stop, fault = await self._condition(axis)

@@ -107,8 +107,9 @@ class ModbusTable(Table):
     async def enable(self) -> None:
         """Step every drive to Operation enabled; one that is enabled already is left so.
 
-        A drive in quick stop loses its power first. DeviceFault if a drive is in fault or its interlock is open,
-        DeviceRefused if it does not change state within 2 s.
+        A drive in quick stop loses its power first. The drives before it are read meanwhile, as each watches for its
+        master's silence. DeviceFault if a drive is in fault or its interlock is open, DeviceRefused if it does not
+        change state within 2 s.
         """
         for axis in self._axes:
             await self._sound(axis)

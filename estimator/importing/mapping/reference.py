@@ -255,7 +255,7 @@ def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
 
 
 def read_pose(section: StrictTable) -> Pose:
-    """Return the pose that a section states; its error for directions that contradict each other."""
+    """Return the pose that a section states; its error for north without up, or not perpendicular to it."""
     found = {key: _unit(section, key) for key in ("up", "north") if section.has(key)}
     if "north" in found and "up" not in found:
         raise section.fail("north", "is stated without up: add up, the body axis that points up")

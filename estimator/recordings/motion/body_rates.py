@@ -78,7 +78,9 @@ class BodyRates:
 
     @classmethod
     def of(cls, readings: TableReadings, site: Site | None) -> "BodyRates":
-        """Return the body rates of complete readings, all final; computed once for as long as the readings exist."""
+        """Return the body rates of complete readings, all final; computed once a site for as long as the readings
+        exist.
+        """
         made = _MADE.setdefault(readings, {})
         if site not in made:
             rates = cls(readings.gimbals, site)
