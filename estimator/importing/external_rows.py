@@ -77,7 +77,8 @@ def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
 def _in_long_gaps(t_ns: Stamps, complete: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return as flags (k,) which rows are in gaps between complete ones that are too long to be filled.
 
-    ``complete`` (k,) marks complete rows. Gaps count from three usual steps and 150 ms on.
+    ``complete`` (k,) marks complete rows. Gaps count above three usual steps and 150 ms; none with fewer than two
+    complete rows.
     """
     known = t_ns[complete]
     if len(known) < 2:

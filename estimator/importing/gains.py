@@ -202,8 +202,8 @@ def _prior(data: ImuData, gains: Sequence[_Gain | None]) -> Prior:
 def _gain_notes(array: SensorArray, gains: Sequence[_Gain | None], size_rps: float) -> list[str]:
     """Return notes on gyros that do not follow the reference, or whose axis, sign or scale is wrong.
 
-    The notes say what to write in the mapping. ``gains`` has one for each gyro, None if it was not determined; such
-    gyros get no note. ``size_rps`` is the stated unit of their columns in rad/s.
+    The notes say what to write in the mapping, the first fault of a gyro only. ``gains`` has one for each gyro, None if
+    it was not determined; such gyros get no note. ``size_rps`` is the stated unit of their columns in rad/s.
     """
     notes = []
     for name, axis, gain in zip(array.names, array.p, gains, strict=True):

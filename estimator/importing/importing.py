@@ -194,7 +194,8 @@ def _rows_beside(
 
     ``gyros`` are instants and rates of the data file. The offset between the files is stated, by stamps of one clock,
     or by the motion. Stamps of two clocks are corrected if they drift apart; where stamps scatter, the motion decides
-    between them and an even grid. Notes are appended to ``notes``. RecordingError if the files do not overlap.
+    between them and an even grid. Rows more than 1 s before or after the data file are left out. Notes are appended to
+    ``notes``. RecordingError if the files do not overlap.
     """
     path, time, name = other.beside(log.path), log.time, other.beside(log.path).name
     table = read_table(path, other.format, wanted(other.timing, reference.columns.names))
@@ -294,8 +295,9 @@ def _samples_settled(
 def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: int, notes: list[str]) -> Floats:
     """Return specific forces (rows, 3) from a separate file at the instants of the gyro's rows.
 
-    NaN beyond its ends, and in rows of the data file that are not kept. Notes are appended to ``notes``. RecordingError
-    if the files do not overlap.
+    They are interpolated between its complete rows, at its stamps plus the offset stated. NaN beyond its ends, and in
+    rows of the data file that are not kept. Notes are appended to ``notes``. RecordingError if the files do not
+    overlap.
     """
     path = other.beside(log.path)
     table = read_table(path, other.format, wanted(other.timing, accelerometer.names))
@@ -378,8 +380,9 @@ def _interpolated(log: Log, gyro_rows: NDArray[np.intp], values: Floats | None, 
 def _joined_recording(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
     """Return the recording of all files, one after the other with gaps of 10 s, and its notes.
 
-    Signs and scales are taken from the data where the mapping says so. ``refused`` is noted in the attributes.
-    RecordingError if gyros are mixed up.
+    Signs and scales are taken from the data where the mapping says so. ``refused`` is noted in the attributes, of which
+    empty ones are left out. The site is kept only if Earth rate counts; else a note says so. RecordingError if gyros
+    are mixed up.
     """
     starts_s = [-float(parts[0].log.time.t_s[0])]
     for before, part in pairwise(parts):
@@ -450,7 +453,10 @@ def _told_once(parts: Sequence[_Part]) -> list[str]:
 
 
 def _reference(stated: ExternalReference, placed: list[tuple[_Part, float]]) -> Reference:
-    """Return the reference of all files: their rows, each file at its start in s, or without rows the stated turns."""
+    """Return the reference of all files: their rows, each file at its start in s, or without rows the stated turns.
+
+    Rows of an instrument become its kind of readings, those of rests body rates.
+    """
     rows = [(part.reference, start) for part, start in placed if part.reference]
     if rows:
         t_ns = np.concatenate([_ns(t_s + start) for (t_s, _), start in rows])

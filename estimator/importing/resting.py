@@ -155,7 +155,8 @@ def _quiet_stretches(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]
     """Return the quiet stretches of samples that are long enough, in order of time.
 
     Rests have the scatter of the quietest windows, and nearly their mean, as a steady turn is equally quiet. An
-    accelerometer must be quiet as well, and keep its direction. RecordingError if there is none.
+    accelerometer must be quiet as well, and keep its direction. A window at each end is left out, as a motion may begin
+    in it. RecordingError if there is none, or too few rows to tell.
     """
     t_s, rate, accel = samples.t_s, samples.rate, samples.accel
     rows = _window_rows(t_s)

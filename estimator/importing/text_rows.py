@@ -64,8 +64,8 @@ class _Body:
     def careful(self) -> Table:
         """Return the rows that can be read, line by line; others are counted, and the first is described.
 
-        Broken lines leave a gap in the positions of rows, a repeated heading does not. Times of day go on over
-        midnight.
+        Broken lines leave a gap in the positions of rows, a repeated heading does not. A blank field too many at the
+        end of a line is no fault. Times of day go on over midnight.
         """
         wanted, header = self.wanted, self.header
         label_at = [header.index(_bare(key)) for key in wanted.labels]

@@ -32,8 +32,8 @@ def find_rests(t_s: Floats, outputs: Floats, least_s: float) -> list[StillSpan]:
     """Return the rests of at least ``least_s`` in outputs (n, c) at instants (n,), in order of time.
 
     Scatters of windows form two classes, at rest and in motion, divided in the histogram of their logarithms. A rest
-    whose mean steps by more than a hundredth of its length is cut there. RecordingError if there are too few rows, or
-    nothing rests.
+    whose mean steps by more than a hundredth of its length is cut there. A window at each end is left out, as a motion
+    may begin in it, except at the ends of the file. RecordingError if there are too few rows, or nothing rests.
     """
     period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
     rows = max(round(WINDOW_S / _CELLS / period_s), 2)

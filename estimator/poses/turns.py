@@ -118,7 +118,8 @@ def _alive(samples: GyroSamples) -> GyroSamples:
 def _axes_contradict(up: Floats, turns: Sequence[_Turn]) -> str:
     """Return a sentence if the turns fit the directions up (k, 3) only with other gyro axes or units; else "".
 
-    Tried are all orders and signs of the axes, and rad for deg or the reverse.
+    Tried are all orders and signs of the axes, and rad for deg or the reverse. That is so if the median turn is off by
+    more than 0.1 rad as stated, and by at most half of that otherwise.
     """
     found: list[tuple[float, str]] = []
     for order in permutations(range(3)):

@@ -296,7 +296,9 @@ class _Source:
     def __init__(self, signals: ChannelSignals, rate_hz: float) -> None:
         """Prepare the leading message, that of the rates, and a companion for each further message.
 
-        Samples are timed by the time or counter signal if there is one, else by their rhythm.
+        A companion belongs to the leading frame before it if its identifier is larger and it has more than a
+        temperature, else to the one after it. Samples are timed by the time or counter signal if there is one, else by
+        their rhythm.
         """
         self.counts = SourceCounts()
         self._signals = signals

@@ -129,8 +129,8 @@ class ModbusTable(Table):
     async def home(self) -> None:
         """Run the drives' homing on all axes at once, by the profile's method, and wait for it.
 
-        DeviceRefused if one does not start, reports an error of homing or takes more than a minute; DeviceFault for a
-        fault.
+        Its rates are 30 deg/s and a quarter of that. DeviceRefused if one does not start, reports an error of homing or
+        takes more than a minute; DeviceFault for a fault.
         """
         self.homing = set(self._axes)
         self._starts.clear()
@@ -270,7 +270,8 @@ class ModbusTable(Table):
     async def status(self, axis: str) -> AxisStatus:
         """Read the state of an axis and describe a fault in words.
 
-        Quick stop active is no fault but a caution. BadReply for a statusword that is no CiA 402 state.
+        Quick stop active is no fault but a caution. The interlock is read where the profile knows its inputs, except in
+        operation. BadReply for a statusword that is no CiA 402 state.
         """
         word = int(await self._read(axis, "statusword"))
         state = cia402.state_of(word)

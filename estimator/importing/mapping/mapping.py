@@ -330,7 +330,7 @@ def read_gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
     """Return the gyros of a section; its error if their number or axes are invalid.
 
     Without axes there are three along x, y, z. Without names they are named by their axes if these differ, else
-    numbered.
+    numbered. Text needs a column for each axis; in other files one name may stand for all.
     """
     taken = section.stated(KEYS["gyro"])
     columns = stated_columns(section, "rate", count_needed=not taken["scale_from_data"])
