@@ -180,7 +180,8 @@ class Registry(Mapping[str, T]):
         """Return this registry with the records defined in ``modules`` added; PluginError if one has the name of
         another.
 
-        If ``kind`` is given, records with another ``kind`` are left out. This registry stays as it is.
+        If ``kind`` is given, records with another ``kind`` are left out. This registry stays as it is. That an
+        installed one has the name shows only when it is looked up.
         """
         own = dict(self._own)
         for record in (record for module in modules for record in records_of(module, self._kind)):

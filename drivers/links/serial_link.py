@@ -202,8 +202,8 @@ class _Reader:
         """Put received bytes into the inbox until closing, gathered for ``gather_s``; exceptions of the port pass
         through.
 
-        Each chunk has the time of the loop at which it was handed over. Bytes still being gathered on closing are
-        dropped.
+        Each chunk has the time of the loop at which it was handed over. Bytes read before an exception are handed over;
+        those still being gathered on closing are dropped.
         """
         wait, take = self._ways(port)
         handed_over = time.monotonic()

@@ -109,8 +109,8 @@ async def bring_to_rest(
 
     ``tell(axis)`` sends the stop to one axis and reopens its link if that is lost; ``read(axis)`` reads it. A failure
     with one axis does not delay the others: it is told again after them, and so is an axis that is not seen to slow
-    down. ``idle(axis)`` asks whether the controller carries out no motion of an axis; one that turns all the same is
-    passed over for the others.
+    down. ``idle(axis)`` asks whether the controller carries out no motion of an axis; one that turns all the same, at
+    three readings in a row, does not hold up the others and counts as one that keeps turning.
 
     Gives up when an axis that answers does not slow down for about a second, or after 50 times ``timeout_s`` without
     news. LinkLost, BadReply if something else answered, or DeviceRefused if an axis keeps turning; the message has the

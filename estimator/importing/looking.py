@@ -366,8 +366,10 @@ def _gyro(file: _File, names: Sequence[str] | None) -> str:
 
 
 def _accelerometer(file: _File, names: Sequence[str]) -> str:
-    """Return the table [accelerometer] for the columns ``names``, its unit by name or size; the guess is noted in the
-    file.
+    """Return the table [accelerometer] for the columns ``names``, its unit by name or size, else counts with a
+    placeholder for their size.
+
+    The guess is noted in the file.
     """
     unit = _said(names[0], _FORCES) or _force_unit(float(np.nanmedian(np.linalg.norm(_values(file, names), axis=1))))
     file.guesses.update(dict.fromkeys(names, f"accelerometer ({unit or 'counts'})"))

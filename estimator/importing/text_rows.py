@@ -183,8 +183,8 @@ def read_rows(name: str, text: str, file_format: FileFormat, wanted: Wanted) -> 
 def _heading(name: str, lines: Lines, file_format: FileFormat, wanted: Wanted) -> tuple[int, list[str]]:
     """Return the number of the first line of rows, among ``lines``, and the names of the columns.
 
-    Names stated in [file] hold as they are; else the heading is the early line that has most of the wanted names.
-    RecordingError if a wanted name is missing or occurs twice.
+    Names stated in [file] hold as they are; else the heading is that of the first 200 lines which has most of the
+    wanted names. RecordingError if a wanted name is missing or occurs twice.
     """
     if file_format.columns:
         missing = [key for key in wanted.all if key not in file_format.columns]

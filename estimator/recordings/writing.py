@@ -60,7 +60,7 @@ class RecordingWriter:
 
         With ``journal`` one is created beside it, and both carry the same identity, so that no other journal is used
         for it: the ``IDENTITY`` in the attributes, or a random one. RecordingError if the file or its journal exists or
-        cannot be created, or the disk is full; then nothing is left behind.
+        cannot be created, or the disk is full; then no file is left behind.
         """
         self.path = path
         self.complete = False

@@ -226,8 +226,8 @@ class Stim300Imu(OneSource[ByteLink]):
         """Take the units of gyros and accelerometers and the range from the configuration.
 
         DeviceRefused if the rate, gyro unit or range differs from the bench file's, the gyro unit is unknown, a gyro is
-        off, or the accelerometers have different or unknown ranges. Accelerometers are looked at only if the datagrams
-        carry them.
+        off, or the accelerometers have different ranges or none that is known. Accelerometers are looked at only if the
+        datagrams carry them; one of unknown range is passed over if another's is known.
         """
         unit, ranges = UNITS.get(configuration.gyro_unit), configuration.accel_ranges_g
         if configuration.rate_hz != self._rate_hz:

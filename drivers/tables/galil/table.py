@@ -300,9 +300,9 @@ class GalilTable(LineTable):
         return "DC " + ",".join(by_letter.get(letter, "") for letter in _LETTERS[: ord(max(by_letter)) - 64])
 
     async def _set_ramps(self, axis: str, acceleration_rps2: float) -> None:
-        """Set acceleration and deceleration of an axis, rounded down to the controller's steps.
+        """Set acceleration and deceleration of an axis, rounded down to steps of 1024 counts/s2, at least one of them.
 
-        DeviceRefused if even its least step is above the limit of the axis.
+        DeviceRefused if that is above the limit of the axis.
         """
         own = self._axes[axis]
         acceleration = galil.floor_acceleration(acceleration_rps2 / TURN * own.counts_per_turn)

@@ -299,6 +299,7 @@ class ModbusLine:
 
         The line is kept quiet before and after. A reply or refusal shows that earlier requests will not be answered any
         more: they are removed from the pending ones. _NoReply without a reply; DeviceRefused, or _Busy, for a refusal.
+        A refusal does not name its request: it counts only if no other one of the unit is pending.
         """
         pending = self._pending[request.unit_id]
         # A refusal does not name its request; it counts as the answer only if nothing else may be refused.

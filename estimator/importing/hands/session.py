@@ -56,9 +56,10 @@ def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseS
 def _gyro(
     mapping: PoseMapping, logs: Sequence[HandLog], accelerometer: PoseCalibration
 ) -> tuple[GyroTurnCalibration | None, list[str]]:
-    """Return the calibration of the gyros by the turns, None without gyros, and why there is none.
+    """Return the calibration of the gyros by the turns, and why there is none if it is None.
 
-    RecordingError if gyros and accelerometers contradict each other.
+    It is None without gyros, which needs no reason, unless there are three about three axes, if the rests do not show
+    all of the accelerometers, and for too few turns. RecordingError if gyros and accelerometers contradict each other.
     """
     if mapping.gyro is None:
         return None, []

@@ -399,7 +399,7 @@ class BodyRates:
     def _refine_up_to(self, stop: int) -> None:
         """Make rows up to ``stop`` final: correct their rates by the angles around, mark which are reliable.
 
-        Rows that are final already stay as they are.
+        Rows that are final already stay as they are. With fewer than five readings around a rate is not corrected.
         """
         start, times = self._done, self._rows["t_ns"]
         if stop <= start:
