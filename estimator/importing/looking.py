@@ -406,8 +406,9 @@ def _rests(file: _File, names: Sequence[str] | None, step_s: float) -> int:
 def _reference(file: _File, triples: Mapping[str, tuple[str, list[str]]], rests: int, felt: bool) -> str:
     """Return the table [reference]: an attitude, rate or angle if columns look like one, else gravity or rests.
 
-    ``triples`` are groups of three columns by their names; ``rests`` is how often the gyro rests: gravity needs several
-    rests, and an accelerometer (``felt``). The guess is noted in the file.
+    The first kind in this order that is found is taken. ``triples`` are groups of three columns by their names;
+    ``rests`` is how often the gyro rests: gravity needs nine rests, and an accelerometer (``felt``). The guess is noted
+    in the file.
     """
     four = {found[1].lower(): name for name in file.names if (found := _QUATERNION.match(_base(name)))}
     for order, axes in (("wxyz", "wxyz"), ("wxyz", "sxyz"), ("wxyz", "0123")):

@@ -203,8 +203,8 @@ def _span(mapping: Mapping, stated: StatedTurns, t_s: Floats, rate: Floats, turn
 def _checked_angle(mapping: Mapping, stated: StatedTurns, turned_rad: Floats, turn: Turn) -> float:
     """Return the stated angle of a turn in rad, with the sign of the data if asked for.
 
-    It is checked against the angles ``turned_rad`` (m,) by which the gyros turned: RecordingError if they differ. No
-    check if no gyro senses the axis; then RecordingError if the sign is wanted from the data.
+    It is checked against the angles ``turned_rad`` (m,) by which the gyros turned: RecordingError if they differ by
+    half of it or more. No check if no gyro senses the axis; then RecordingError if the sign is wanted from the data.
     """
     p, axis, angle = mapping.gyro.array.p, np.array(turn.axis), turn.angle_rad
     if np.linalg.lstsq(p, p @ axis, rcond=None)[0] @ axis < _SENSED:

@@ -140,8 +140,8 @@ class Samples:
 def parse_mtdata2(data: Bytes) -> tuple[list[Samples], int]:
     """Return the contents of MTData2 messages of one length (n, length), and how many of them were malformed.
 
-    A message is malformed if its packets do not end with it, or a known kind has an impossible size. Packets of unknown
-    kinds are kept unread.
+    Successive messages with the same packets share an item. A message is malformed if its packets do not end with it,
+    or a known kind has an impossible size. Packets of unknown kinds are kept unread.
     """
     found: list[Samples] = []
     malformed = 0

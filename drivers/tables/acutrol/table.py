@@ -263,7 +263,8 @@ class AcutrolTable(LineTable):
     async def _travel(self, axis: str, task: _Task, leg: str) -> None:
         """Move on, leg by leg, until the target is reached or the axis has a new task; ``leg`` is the one in progress.
 
-        DeviceRefused if it is not reached after eight legs; if the interlock is open or in fault then, it just ends.
+        After two changes of position, 0.02 deg from the target is near enough. DeviceRefused if it is not
+        reached after eight legs; if the interlock is open or in fault then, it just ends.
         """
         changes = 0
         for _ in range(_MOST_LEGS):

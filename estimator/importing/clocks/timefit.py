@@ -193,9 +193,11 @@ def _grid(t: Floats, number: NDArray[np.int64]) -> _Grid | None:
 
 
 def _even_over_seconds(t: Floats) -> Floats | None:
-    """Return the instants (rows,) of samples that are even over seconds, but not for ever.
+    """Return the instants (rows,) of samples that are even for seconds, by a clock that wanders in the long run.
 
-    ``t`` are the stamps. None if they are not even, overlap, or are fewer than 202.
+    They are the stamps ``t`` (rows,) in s, smoothed over 101 rows against an even grid. None for fewer than 202 stamps,
+    if more than 1 % of them are far from that, if two are less than half a step apart or more than a tenth of the steps
+    are longer ones.
     """
     if len(t) < 2 * _EVEN_ROWS:
         return None

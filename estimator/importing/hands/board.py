@@ -18,7 +18,8 @@ from estimator.poses.turns import GyroSamples, calibrate_turns
 def board_session(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseSession:
     """Return the calibration of every IMU of a board, and where they are, from one file.
 
-    RecordingError for more than one file, one that cannot be used, and gross errors, with the name of the IMU.
+    RecordingError for more than one file, one that cannot be used, gross errors, and rests or turns too few to show all
+    parameters of an IMU.
     """
     if len(data_paths) != 1:
         raise RecordingError("the IMUs of a board are calibrated from one file at a time: name one")

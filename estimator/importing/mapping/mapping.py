@@ -210,8 +210,8 @@ def _check_undeclared(section: StrictTable) -> None:
 def _check(mapping: Mapping, section: StrictTable) -> None:
     """Raise RecordingError, or the section's error, for tables that cannot be combined.
 
-    They are a reference file or signs from data with a stated reference, gravity without an accelerometer, and Earth
-    rate without a site or a direction up.
+    They are a reference file, signs or scales from data with a stated reference, gravity without an accelerometer, and
+    Earth rate without a site or a direction up.
     """
     reference = mapping.reference
     if not isinstance(reference, Measured):
