@@ -14,8 +14,11 @@ import numpy as np
 import pytest
 
 from estimator.errors import RecordingError
+from estimator.geometry.array import triad
+from estimator.recordings.recording import ImuData, Recording
+from estimator.recordings.reference import RateReadings
 from estimator.recordings.safe_open import probe
-from estimator.recordings.writing import RecordingWriter, write_attributes, write_results
+from estimator.recordings.writing import RecordingWriter, write_attributes, write_recording, write_results
 
 IN_A_SMALL_DISK = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
 
@@ -98,3 +101,21 @@ def test_a_limit_on_the_size_of_files_leaves_a_recording_that_can_be_read(tmp_pa
         assert len(file["imu/a/rate_rps"]) > 50_000
         assert list(file["events/text"]) == [b"table at rest"]
         assert file.attrs["outcome"] == "FAULT"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no limits of a process")
+def test_a_recording_that_does_not_fit_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+    import resource
+
+    t_ns = np.arange(200_000) * 1_000_000
+    rate_rps = np.zeros((len(t_ns), 3))
+    recording = Recording({"imu": ImuData(triad(), t_ns, rate_rps)}, RateReadings(t_ns, rate_rps))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, before[1]))
+    try:
+        with pytest.raises(RecordingError, match="Raise the limit"):
+            write_recording(tmp_path / "run.h5", recording)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
+    write_recording(tmp_path / "run.h5", recording)
