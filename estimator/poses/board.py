@@ -16,6 +16,8 @@ from estimator.poses.calibration import Board, BoardImu, GyroTurnCalibration, Po
 from estimator.types import Flags, Floats, runs_of
 
 _FEWEST_IMUS = 3  # of fewer the accelerometers do not give the angular acceleration
+_FEWEST_POSES = 2  # common ones: gravity in a single pose does not show how an IMU is turned about it
+_LEAST_SPREAD = 0.1  # rad, of the directions of gravity
 _FAST = 0.1  # of the fastest turn: slower samples say nothing of the arms
 _FEWEST_ROWS = 200
 _BLOCKS = 20  # of the jackknife
@@ -49,7 +51,8 @@ def locate(imus: Sequence[ImuSamples]) -> Board:
     """Return rotations and arms of IMUs against the first, from samples of fast turns.
 
     Fast are samples above a tenth of the fastest rate. Samples with blanks, and at or beside the limit of any sensor,
-    are left out. RecordingError for fewer than three IMUs or 200 samples.
+    are left out. RecordingError for fewer than three IMUs or 200 samples, and for an IMU that shares too few rests with
+    the first.
     """
     if len(imus) < _FEWEST_IMUS:
         raise RecordingError(f"arms between {len(imus)} IMUs are not estimated: {_FEWEST_IMUS} and more are needed")
@@ -105,7 +108,8 @@ def _rate(imu: ImuSamples) -> Floats:
 def _rotations(imus: Sequence[ImuSamples]) -> tuple[list[Floats], list[float]]:
     """Return the rotation (3, 3) of each IMU into the first, and its uncertainty in rad, by gravity at common rests.
 
-    Rests are common if the middle of one is within the other's. The first IMU has the identity and 0.
+    Rests are common if the middle of one is within the other's. The first IMU has the identity and 0. RecordingError
+    for an IMU whose common rests are in fewer than two poses.
     """
     from scipy.spatial.transform import Rotation
 
@@ -122,8 +126,14 @@ def _rotations(imus: Sequence[ImuSamples]) -> tuple[list[Floats], list[float]]:
             if abs(times[at] - middle_s) < 0.5 * (rest.duration_s or 0.0):
                 own.append(rest.mean)
                 other.append(means[at])
-        here = _unit(imu.accelerometer.intrinsic.force_mps2(np.array(own)))
-        there = _unit(imus[0].accelerometer.intrinsic.force_mps2(np.array(other)))
+        here = _unit(imu.accelerometer.intrinsic.force_mps2(np.reshape(own, (-1, 3))))
+        there = _unit(imus[0].accelerometer.intrinsic.force_mps2(np.reshape(other, (-1, 3))))
+        if np.linalg.matrix_rank(here, tol=_LEAST_SPREAD) < _FEWEST_POSES:
+            raise RecordingError(
+                f"{imu.name} cannot be placed on the board: {len(here)} of its rests are also rests of {imus[0].name}, "
+                f"and {_FEWEST_POSES} in different poses are needed. Lay the board down in several poses while all "
+                "IMUs record, and compare the two accelerometers in time"
+            )
         rotation = Rotation.align_vectors(there, here)[0].as_matrix()
         left = there - here @ rotation.T
         rotations.append(rotation)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handheld import Session, Truth, device, general_poses, make, on_board
+from handheld import Log, Session, Truth, device, general_poses, make, on_board
 
 from estimator.errors import RecordingError
 from estimator.importing.hands.mapping import read_pose_mapping
@@ -235,11 +235,8 @@ def test_a_stated_pose_or_turn_that_is_another_is_a_gross_error(
 ARMS_MM = np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 1.0], [0.0, 15.0, -1.0], [-10.0, 8.0, 2.0]])
 
 
-def test_imus_on_one_board_are_located_by_fast_turns_and_saturated_samples_left_out(tmp_path: Path) -> None:
-    rng = np.random.default_rng(41)
-    truths = [device(rng) for _ in ARMS_MM]
-    limit = 10.0
-    logs = on_board(rng, truths, ARMS_MM * 1e-3, Session(up=general_poses(rng, 18), rate_hz=100.0), limit)
+def board_calibrated(folder: Path, logs: list[Log]) -> PoseSession:
+    """Return the session of the logs of IMUs on one board, written to a file and imported."""
     columns = ["t"]
     text = '[device]\nname = "board"\n[file]\nformat = "csv"\n[time]\ncolumn = "t"\nunit = "s"\n'
     text += '[reference]\nkind = "poses"\ngravity_mps2 = 9.81\n'
@@ -249,9 +246,17 @@ def test_imus_on_one_board_are_located_by_fast_turns_and_saturated_samples_left_
         text += f'[[imu]]\nname = "IMU {number + 1}"\naccelerometer = {{ columns = {force}, unit = "m/s2" }}\n'
         text += f'gyro = {{ columns = {rate}, unit = "rad/s" }}\n'
     rows = np.column_stack([logs[0].t_s, *(part for log in logs for part in (log.accel, log.gyro))])
-    np.savetxt(tmp_path / "board.csv", rows, "%.9g", ",", header=",".join(columns), comments="")
-    (tmp_path / "mapping.toml").write_text(text.replace("'", '"'), encoding="utf-8")
-    session = calibrate_by_hand(read_pose_mapping(tmp_path / "mapping.toml"), [tmp_path / "board.csv"])
+    np.savetxt(folder / "board.csv", rows, "%.9g", ",", header=",".join(columns), comments="")
+    (folder / "mapping.toml").write_text(text.replace("'", '"'), encoding="utf-8")
+    return calibrate_by_hand(read_pose_mapping(folder / "mapping.toml"), [folder / "board.csv"])
+
+
+def test_imus_on_one_board_are_located_by_fast_turns_and_saturated_samples_left_out(tmp_path: Path) -> None:
+    rng = np.random.default_rng(41)
+    truths = [device(rng) for _ in ARMS_MM]
+    limit = 10.0
+    logs = on_board(rng, truths, ARMS_MM * 1e-3, Session(up=general_poses(rng, 18), rate_hz=100.0), limit)
+    session = board_calibrated(tmp_path, logs)
     board = session.board
     assert board is not None
     held = np.any([np.abs(log.gyro) == limit for log in logs], axis=(0, 2))
@@ -266,3 +271,14 @@ def test_imus_on_one_board_are_located_by_fast_turns_and_saturated_samples_left_
     again = read_pose_session(tmp_path / "board.h5").board
     assert again is not None
     assert [imu.distance_m for imu in again.imus] == [imu.distance_m for imu in board.imus]
+
+
+def test_an_imu_that_shares_no_rest_with_the_first_is_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(41)
+    session = Session(up=general_poses(rng, 36), rate_hz=50.0)
+    logs = on_board(rng, [device(rng) for _ in range(3)], ARMS_MM[:3] * 1e-3, session, 10.0)
+    half = len(logs[0].t_s) // 2
+    for log, shaken in zip(logs, (slice(half, None), slice(half, None), slice(half)), strict=True):
+        log.accel[shaken] += 3.0 * rng.normal(size=log.accel[shaken].shape)
+    with pytest.raises(RecordingError, match="IMU 3 cannot be placed .*: 0 of its rests are also rests of IMU 1"):
+        board_calibrated(tmp_path, logs)
