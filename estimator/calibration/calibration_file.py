@@ -205,7 +205,7 @@ def _effects(group: Any, model: str, n: int, where: str) -> list[tuple[EffectVal
     """Return the effects of each of ``n`` gyros, without any if ``group`` names none.
 
     Their expected sizes are taken from the text of the ``model``; ``where`` names it in errors. ModelError if that is
-    no model of this version, KeyError for an effect that it lacks, ValueError for arrays of another shape.
+    no model of this version, KeyError for an effect or parameter that it lacks, ValueError for arrays of another shape.
     """
     labels = [label.partition(": ") for label in _texts(group.attrs.get("effect_names", ()))]
     if not labels:
@@ -217,7 +217,7 @@ def _effects(group: Any, model: str, n: int, where: str) -> list[tuple[EffectVal
     for i in range(n):
         own = []
         for column, ((called, _, parameter), unit) in enumerate(zip(labels, units, strict=True)):
-            size = next(size for size in known[called].sizes if size.name == parameter)
+            size = {size.name: size for size in known[called].sizes}[parameter]
             value, sd = float(values[i, column]), float(sds[i, column])
             own.append(
                 EffectValue(

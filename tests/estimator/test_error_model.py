@@ -17,6 +17,7 @@ from support import SITE, TABLE_1
 from estimator.calibration.calibration_file import read_calibration, write_calibration
 from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError, Size
 from estimator.effects.constructed import constructed
+from estimator.errors import RecordingError
 from estimator.estimation.calibrate import calibrate
 from estimator.estimation.repeatability import repeatability
 from estimator.estimation.runs.build import runs_of
@@ -170,6 +171,17 @@ def test_the_recording_holds_effects_and_the_model_they_were_found_with(model: E
 def law(text: str, sd: float = 1e-3) -> KnownEffect:
     """A constructed effect of one term."""
     return KnownEffect("constructed", False, (Size(f"of {text}", "rad/s per unit", 0.0, sd),), {"law": text})
+
+
+def test_a_damaged_name_of_a_parameter_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    recording = simulated(exploration_script(), 71, SECOND)
+    write_recording(path, recording)
+    write_calibration(path, calibrate(recording, model=ErrorModel((law("abs(u)"),))))
+    with h5py.File(path, "r+") as file:
+        file["calibration"].attrs["effect_names"] = ["constructed abs(u): nonsense"]
+    with pytest.raises(RecordingError, match="damaged calibration .*nonsense"):
+        read_calibration(path)
 
 
 def test_laws_that_were_constructed_are_kept_and_estimated_with_the_next_device(tmp_path: Path) -> None:
