@@ -35,23 +35,18 @@ _NUMBERS = ("factor", "freedom", "before_mps2", "after_mps2", "between_mps2")
 def write_pose_session(path: Path, session: PoseSession) -> None:
     """Write a calibration by hand to a new file, with its folders; RecordingError if it exists or cannot be written.
 
-    A file that was begun stays after a failure.
+    After a failure no file is left.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(path, "x") as file:
-            file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
-            file.attrs.update({key: getattr(session, key) for key in _TEXTS})
-            for key in _LISTS:
-                _put_texts(file, key, getattr(session, key))
-            _put_accelerometer(file.create_group("accelerometer"), session.accelerometer)
-            if session.gyro is not None:
-                _put_gyro(file.create_group("gyro"), session.gyro)
-            if session.board is not None:
-                _put_board(file.create_group("board"), session.board)
-            for triad in session.triads:
-                _put_triad(file.create_group(f"triads/{triad.kind}"), triad)
-    except (OSError, ValueError) as error:
+        file = h5py.File(path, "x")
+        try:
+            with file:
+                _put_session(file, session)
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+    except (OSError, RuntimeError, ValueError) as error:  # HDF5 has all three
         raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
 
 
@@ -96,6 +91,21 @@ def is_pose_session(path: Path) -> bool:
             return bool(file.attrs.get("format") == FORMAT)
     except (RecordingError, OSError):
         return False
+
+
+def _put_session(file: Any, session: PoseSession) -> None:
+    """Write format, texts and all results of a session."""
+    file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
+    file.attrs.update({key: getattr(session, key) for key in _TEXTS})
+    for key in _LISTS:
+        _put_texts(file, key, getattr(session, key))
+    _put_accelerometer(file.create_group("accelerometer"), session.accelerometer)
+    if session.gyro is not None:
+        _put_gyro(file.create_group("gyro"), session.gyro)
+    if session.board is not None:
+        _put_board(file.create_group("board"), session.board)
+    for triad in session.triads:
+        _put_triad(file.create_group(f"triads/{triad.kind}"), triad)
 
 
 def _put_texts(group: Any, name: str, texts: tuple[str, ...]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,14 @@ def test_the_written_file_opens_again_with_everything(tmp_path: Path) -> None:
     assert [rest.duration_s for rest in second.rests] == [rest.duration_s for rest in first.rests]
     with pytest.raises(RecordingError, match="cannot create"):
         write_pose_session(tmp_path / "phone.h5", session)
+    assert read_pose_session(tmp_path / "phone.h5").device == "LIS3DH in a phone"
+
+
+def test_a_calibration_that_cannot_be_written_leaves_no_file_in_the_way_of_the_next_attempt(tmp_path: Path) -> None:
+    session = imported("poses24", "poses24.mat")
+    with pytest.raises(RecordingError, match="cannot create"):
+        write_pose_session(tmp_path / "new.h5", replace(session, notes=("a text that HDF5 cannot hold: \0",)))
+    write_pose_session(tmp_path / "new.h5", session)
 
 
 @pytest.mark.parametrize(
