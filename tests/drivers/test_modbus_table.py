@@ -47,19 +47,25 @@ def null_modem(transport: str) -> Address:
     return (NULLMODEM_HOST, number) if transport == "tcp" else SerialPort(f"socket://{NULLMODEM_HOST}:{number}")
 
 
-def driver(address: Address, axes: dict[str, int] = UNIT_IDS, timeout_s: float = 0.2) -> ModbusTable:
-    limits = AxisLimits(MAX_RATE, MAX_ACCELERATION)
+def driver(
+    address: Address, axes: dict[str, int] = UNIT_IDS, timeout_s: float = 0.2, max_rate_rps: float = MAX_RATE
+) -> ModbusTable:
+    limits = AxisLimits(max_rate_rps, MAX_ACCELERATION)
     drives = {axis: AxisSetup(unit_id, COUNTS, limits) for axis, unit_id in axes.items()}
     return ModbusTable(setup_of("modbus", drives, timeout_s, profile=PROFILE), address)
 
 
 @asynccontextmanager
 async def twin(
-    transport: str, watchdog_s: float = 0.0, profile: DriveProfile = PROFILE, mute: Collection[int] = ()
+    transport: str,
+    watchdog_s: float = 0.0,
+    profile: DriveProfile = PROFILE,
+    mute: Collection[int] = (),
+    max_rate_rps: float = MAX_RATE,
 ) -> AsyncIterator[tuple[ModbusTable, TableModel]]:
     """Serve three drives over a null modem and give the driver, opened, and the table beneath.
 
-    What the unit ids in ``mute`` answer gets lost.
+    What the unit ids in ``mute`` answer gets lost. The driver knows of ``max_rate_rps``.
     """
     data = {axis: AxisData(MAX_RATE, MAX_ACCELERATION, COUNTS, start) for axis, start in START_RAD.items()}
     model = TableModel(data, asyncio.get_running_loop().time)
@@ -73,7 +79,7 @@ async def twin(
 
     server.trace_connect = connected
     await server.serve_forever(background=True)
-    table = driver(address)
+    table = driver(address, max_rate_rps=max_rate_rps)
     try:
         await table.open()
         yield table, model
@@ -122,6 +128,26 @@ def test_homing_brings_every_axis_to_its_index_and_zeroes_its_encoder(transport:
                 state = await table.read(axis)
                 assert (state.angle_rad, state.rate_rps) == (0.0, 0.0)
                 assert (await table.status(axis)).enabled
+
+    virtually(main)
+
+
+def test_homing_keeps_to_the_largest_rate_of_an_axis(transport: str) -> None:
+    async def main() -> None:
+        async with twin(transport, max_rate_rps=2 * DEG) as (table, model):
+            fastest_rps = 0.0
+
+            async def watch() -> None:
+                nonlocal fastest_rps
+                while True:
+                    fastest_rps = max(fastest_rps, abs(model.rate_rps("x")))
+                    await asyncio.sleep(0.01)
+
+            await table.enable()
+            watching = asyncio.create_task(watch())
+            await table.home()
+            watching.cancel()
+            assert fastest_rps == pytest.approx(2 * DEG, rel=1e-3)
 
     virtually(main)
 

@@ -129,8 +129,8 @@ class ModbusTable(Table):
     async def home(self) -> None:
         """Run the drives' homing on all axes at once, by the profile's method, and wait for it.
 
-        Its rates are 30 deg/s and a quarter of that. DeviceRefused if one does not start, reports an error of homing or
-        takes more than a minute; DeviceFault for a fault.
+        Its rates are 30 deg/s, or the largest of the axis if that is less, and a quarter of that. DeviceRefused if one
+        does not start, reports an error of homing or takes more than a minute; DeviceFault for a fault.
         """
         self.homing = set(self._axes)
         self._starts.clear()
@@ -138,8 +138,9 @@ class ModbusTable(Table):
             await self._command(axis, "enable")  # without the start bit, before the mode gives that a new meaning
             await self._write(axis, "mode", cia402.MODE_HOMING)
             await self._write(axis, "homing_method", self._profile.homing_method)
-            await self._write_motion(axis, "homing_rate_1", _HOMING_RATE_RPS)
-            await self._write_motion(axis, "homing_rate_2", _HOMING_RATE_RPS / 4)
+            rate_rps = min(_HOMING_RATE_RPS, self.limits[axis].rate_rps)
+            await self._write_motion(axis, "homing_rate_1", rate_rps)
+            await self._write_motion(axis, "homing_rate_2", rate_rps / 4)
             await self._hail(self._axes)
         await asyncio.sleep(_TAKEN_S)
         for axis in self._axes:
