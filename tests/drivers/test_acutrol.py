@@ -169,6 +169,19 @@ def test_a_token_is_its_own_number_after_an_ok() -> None:
     assert token.find(b"00000007OK\r\n00000008" + other + b"\r\n") is None
 
 
+@pytest.mark.parametrize("most_dps", [0.05, 0.5, 1.0, 2.5])
+def test_a_token_is_accepted_by_a_slow_axis(most_dps: float) -> None:
+    written: list[bytes] = []
+    model = TableModel({"x": AxisData(most_dps * DEG, LIMITS.acceleration_rps2, 36_000_000)}, lambda: 0.0)
+    controller = twin_on("acutrol", model, written.append, {"x": 1})
+    framing = AcutrolFraming(1, most_dps, 8)
+    for _ in range(200):
+        token = framing.token()
+        del written[:]
+        controller.received(token.request)
+        assert token.find(b"".join(written)), (token.request, written)
+
+
 @given(noise=st.binary(max_size=60))
 @settings(max_examples=200, deadline=None)
 def test_framing_of_any_bytes_never_raises(noise: bytes) -> None:

@@ -52,12 +52,13 @@ class AcutrolFraming:
         """Prepare for a token that writes and reads back the rate limit of axis ``axis_number``.
 
         The numbers written are from 1 to 99.99 deg/s and stay below ``largest_rate_dps``, what the axis may have as a
-        limit; if that is less than 2 deg/s, they go up to 2. ``prefix_length`` is the number of bytes before each
-        answer.
+        limit; if that is not above 2 deg/s, they begin at 0.01, and repeat the sooner the fewer they are.
+        ``prefix_length`` is the number of bytes before each answer.
         """
         self._axis, self._prefix = axis_number, prefix_length
-        self._largest = min(max(int(largest_rate_dps * 100) - 1, 200), 9999)
-        self._used: deque[int] = deque(maxlen=_TOKENS_REMEMBERED)
+        self._largest = min(max(int(largest_rate_dps * 100) - 1, 1), 9999)
+        self._least = 100 if self._largest >= 200 else 1
+        self._used: deque[int] = deque(maxlen=min((self._largest - self._least) // 2, _TOKENS_REMEMBERED))
         self._random = random.SystemRandom()
         self._pattern = re.compile(
             rb"[\s\S]{%d}OK *\r?\n[\s\S]{%d} *(%s) *\r?\n"
@@ -79,9 +80,9 @@ class AcutrolFraming:
         """Return a token with a number not used lately. Its leading line end terminates a line that was cut off on its
         way.
         """
-        number = self._random.randint(100, self._largest)
+        number = self._random.randint(self._least, self._largest)
         while number in self._used:
-            number = self._random.randint(100, self._largest)
+            number = self._random.randint(self._least, self._largest)
         self._used.append(number)
         write = f"\r\n:lim:rate synt,{self._axis},{number / 100:05.2f}\r\n"
         ask = f":limit:rate? synt,{self._axis}\r\n"
