@@ -207,6 +207,23 @@ def test_external_trigger_and_a_gyro_that_is_off_are_refused() -> None:
     virtually(lambda: scene(4, 0x50, "gyro y is switched off"))
 
 
+@pytest.mark.parametrize("options", [{}, {"accel_range": 10}])
+@pytest.mark.parametrize(("second", "words"), [(None, "10 g, unknown, 10 g"), (30, "10 g, 30 g, 10 g")])
+def test_accelerometers_of_ranges_that_differ_are_refused(
+    second: int | None, words: str, options: dict[str, Any]
+) -> None:
+    async def scene() -> None:
+        near, far = pair("imu")
+        data = bytearray(Configuration.of(rate_hz=2000, accelerometer=True).data)
+        code = 0xF if second is None else Configuration.of(rate_hz=2000, accel_range_g=second).data[17] >> 4
+        data[16] = data[16] & 0xF0 | code
+        far.write(encode_special(Configuration(bytes(data))))
+        with pytest.raises(DeviceRefused, match=f"accelerometers x, y, z have ranges of {words}"):
+            await Stim300Imu(imu_setup("stim300", "imu", 2000, **options), near).identify()
+
+    virtually(scene)
+
+
 @pytest.mark.parametrize("rate_hz", [125, 2000])
 @pytest.mark.parametrize("unit", ["rate", "increment", "average", "integrated"])
 def test_every_gyro_unit_gives_the_rate_at_its_time(unit: str, rate_hz: int) -> None:

@@ -226,8 +226,8 @@ class Stim300Imu(OneSource[ByteLink]):
         """Take the units of gyros and accelerometers and the range from the configuration.
 
         DeviceRefused if the rate, gyro unit or range differs from the bench file's, the gyro unit is unknown, a gyro is
-        off, or the accelerometers have different ranges or none that is known. Accelerometers are looked at only if the
-        datagrams carry them; one of unknown range is passed over if another's is known.
+        off, or the accelerometers have different ranges or one that is unknown. Accelerometers are looked at only if
+        the datagrams carry them.
         """
         unit, ranges = UNITS.get(configuration.gyro_unit), configuration.accel_ranges_g
         if configuration.rate_hz != self._rate_hz:
@@ -241,11 +241,13 @@ class Stim300Imu(OneSource[ByteLink]):
             raise DeviceRefused(self._device, sentence("imu.gyro_off", gyros=off))
         self._gyro = gyro_unit_rps(configuration.gyro_unit, self._rate_hz)
         if configuration.accelerometer:
-            known = {range_g for range_g in ranges if range_g is not None}
-            if len(known) != 1 or self._wanted_range_g not in (None, *known):
-                text = ", ".join(f"{range_g} g" for range_g in sorted(known)) or "an unknown range"
-                self._refuse(f"has accelerometers of {text}", f"{self._wanted_range_g or 'one range for all'} g", "")
-            self._accel = accel_unit_mps2(configuration.accel_unit, known.pop(), self._rate_hz)
+            range_g = ranges[0]
+            if range_g is None or set(ranges) != {range_g}:
+                text = ", ".join("unknown" if each is None else f"{each} g" for each in ranges)
+                raise DeviceRefused(self._device, sentence("imu.accel_ranges", ranges=text))
+            if self._wanted_range_g not in (None, range_g):
+                self._refuse(f"has accelerometers of {range_g} g", f"{self._wanted_range_g} g", "")
+            self._accel = accel_unit_mps2(configuration.accel_unit, range_g, self._rate_hz)
 
     def _refuse(self, granted: str, wanted: str, command: str) -> None:
         otherwise = f", or configure the device (service mode: {command}, then s)" if command else ""
