@@ -55,12 +55,13 @@ class CanLink:
         return int(getattr(self._bus, "malformed", 0))
 
     async def open(self) -> None:
-        """Open the bus in a thread that then reads it; LinkLost if that fails or takes more than five seconds.
+        """Open the bus in a thread that then reads it, after closing one that is open.
 
-        A bus "memory" is joined at once, without a thread. A bus that is open must be closed first. Frames received
-        before and not taken yet are kept.
+        A bus "memory" is joined at once, without a thread. Frames received before and not taken yet are dropped.
+        LinkLost if the bus cannot be opened, or not within five seconds.
         """
-        self._closing.clear()
+        self.close()
+        self._frames = deque(maxlen=_MOST_WAITING)  # a thread that is late to leave has the one before
         self._ended = ""
         if self._interface == "memory":
             self._bus = MemoryBus(self._channel, self._take_from_memory)
@@ -69,7 +70,7 @@ class CanLink:
         opened: asyncio.Future[can.BusABC] = loop.create_future()
         # A daemon, not an executor's thread: a driver that hangs must not keep the program from ending.
         self._thread = threading.Thread(
-            target=self._run, args=(loop, opened, self._closing), name=f"can {self._device}", daemon=True
+            target=self._run, args=(loop, opened, self._closing, self._frames), name=f"can {self._device}", daemon=True
         )
         self._thread.start()
         try:
@@ -109,15 +110,12 @@ class CanLink:
             raise LinkLost(self._device, f"{self._named} does not accept frames ({_plain(error)})") from None
 
     def end(self, reason: str) -> None:
-        """Mark the link as ended, for ``reason``, and wake up the reader."""
-        self._ended = reason
+        """Mark the link as ended, for the first reason given, and wake up the reader."""
+        self._ended = self._ended or reason
         self._wake.set()
 
     def close(self) -> None:
-        """Close the bus and wait at most 0.3 s for its thread; harmless if it is closed already.
-
-        A ``receive`` that waits for frames is not woken up: the caller cancels it.
-        """
+        """Close the bus, wait at most 0.3 s for its thread, and end the link; harmless if it is closed already."""
         thread = self._give_up()
         if thread is not None and thread is not threading.current_thread():
             thread.join(2 * _WAIT_S + _SEND_LIMIT_S)
@@ -135,8 +133,9 @@ class CanLink:
         return f"CAN bus {self._interface}:{self._channel}"
 
     def _give_up(self) -> threading.Thread | None:
-        """Tell the reading thread to leave the bus, and return it; each thread has its own event."""
+        """End the link, tell the reading thread to leave the bus, and return it; each thread has its own event."""
         thread, self._thread = self._thread, None
+        self.end("the link was closed")
         self._closing.set()
         self._closing = threading.Event()
         return thread
@@ -147,10 +146,14 @@ class CanLink:
             self._wake.set()
 
     def _run(
-        self, loop: asyncio.AbstractEventLoop, opened: asyncio.Future[can.BusABC], closing: threading.Event
+        self,
+        loop: asyncio.AbstractEventLoop,
+        opened: asyncio.Future[can.BusABC],
+        closing: threading.Event,
+        frames: deque[Frame],
     ) -> None:
-        """Open the bus, read it until ``closing`` is set and shut it down, all in the thread, as opening may take
-        seconds.
+        """Open the bus, read it into ``frames`` until ``closing`` is set and shut it down, all in the thread, as
+        opening may take seconds.
 
         ``opened``, a future of ``loop``, gets the bus or the exception. If reading fails later, the link ends with that
         reason, unless closing.
@@ -162,15 +165,17 @@ class CanLink:
             return
         call_from_thread(loop, settle, opened, bus)
         try:
-            self._read(loop, bus, closing)
+            self._read(loop, bus, closing, frames)
         except Exception as error:  # as above
             call_from_thread(loop, self._end_if_read, closing, f"{self._named} failed ({_plain(error)})")
         finally:
             with suppress(Exception):  # an adapter that is gone cannot be closed
                 bus.shutdown()
 
-    def _read(self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event) -> None:
-        """Read frames until ``closing`` is set, stamp them in time of ``loop``, and wake up ``receive``.
+    def _read(
+        self, loop: asyncio.AbstractEventLoop, bus: can.BusABC, closing: threading.Event, frames: deque[Frame]
+    ) -> None:
+        """Append to ``frames`` until ``closing`` is set, stamp them in time of ``loop``, and wake up ``receive``.
 
         Frames of slcan and socketcand are read in batches, which have one stamp. Stamps of interfaces that the kernel
         stamps are corrected for the age of the frame, of at most 1 s. Error frames and bus-off are counted, except with
@@ -181,9 +186,9 @@ class CanLink:
         if isinstance(bus, (SlcanBus, SocketcandBus)):
             # A thousand times a second four frames: a python-can message for each would take a fifth of a core.
             while not closing.is_set():
-                if frames := bus.frames(_WAIT_S):
+                if batch := bus.frames(_WAIT_S):
                     t_ns = round(loop.time() * 1e9)
-                    self._frames.extend([Frame(t_ns, *frame) for frame in frames])
+                    frames.extend([Frame(t_ns, *frame) for frame in batch])
                     self._wake_reader(loop)
             return
         while not closing.is_set():
@@ -191,7 +196,7 @@ class CanLink:
             while message is not None:
                 age_s = min(max(time.time() - message.timestamp, 0.0), _OLDEST_S) if by_kernel else 0.0
                 if (frame := _frame(message, round((loop.time() - age_s * scale) * 1e9))) is not None:
-                    self._frames.append(frame)
+                    frames.append(frame)
                 self.counts.error_frames += message.is_error_frame
                 self.counts.bus_off += message.is_error_frame and bool(message.arbitration_id & _BUS_OFF)
                 room -= 1

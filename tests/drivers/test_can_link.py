@@ -18,6 +18,7 @@ from can_support import gyros
 from drivers.errors import LinkLost
 from drivers.imus.can.imu import BUILT_IN_DBC, CanChannel, CanImu, CanSource
 from drivers.links.can_link import CanLink
+from drivers.links.can_memory import MemoryBus
 from drivers.specs import ImuSetup
 from drivers.types import Frame
 from sims.imus.can_nodes import CanNodes
@@ -302,6 +303,44 @@ def test_a_virtual_bus_of_python_can_exchanges_frames() -> None:
         assert found is not None
         assert values_of([found]) == [(0x55, False, b"\x07")]
         link.close()
+        link.close()
+        other.shutdown()
+
+    run(main)
+
+
+def node(interface: str, channel: str) -> can.BusABC:
+    return MemoryBus(channel) if interface == "memory" else can.Bus(interface=interface, channel=channel)
+
+
+@pytest.mark.parametrize("interface", ["memory", "virtual"])
+def test_closing_wakes_up_who_waits_for_frames(interface: str) -> None:
+    async def main() -> None:
+        link = CanLink("imu", interface, "closed", {})
+        await link.open()
+        waiting = asyncio.ensure_future(link.receive())
+        await asyncio.sleep(0)
+        link.close()
+        with pytest.raises(LinkLost, match="imu: the link was closed"):
+            async with asyncio.timeout(1.0):
+                await waiting
+
+    run(main)
+
+
+@pytest.mark.parametrize("interface", ["memory", "virtual"])
+def test_opening_again_leaves_the_bus_and_drops_the_frames_of_before(interface: str) -> None:
+    async def main() -> None:
+        link = CanLink("imu", interface, "reopened", {})
+        other = node(interface, "reopened")
+        await link.open()
+        for message in SENT[:1] * 1000:
+            other.send(message)
+        await receive(link, 1)
+        await link.open()
+        for message in SENT[1:]:
+            other.send(message)
+        assert values(await receive(link, 2)) == values_of(SENT[1:])
         link.close()
         other.shutdown()
 
