@@ -239,8 +239,9 @@ def _completed(grid: Conditions) -> Conditions:
 
 
 def _acts(law: Law, runs: Sequence[Run]) -> bool:
-    """Return whether an effect does anything to a gyro of the first run, under its conditions."""
-    run = runs[0]
+    """Return whether an effect does anything to a gyro of any run, under the conditions of that run."""
     return any(
-        np.abs(run.columns(law.effect, i) * law.sd).max(initial=0.0) > _LEAST_COLUMN for i in range(len(run.array))
+        np.abs(run.columns(law.effect, i) * law.sd).max(initial=0.0) > _LEAST_COLUMN
+        for run in runs
+        for i in range(len(run.array))
     )

@@ -17,7 +17,7 @@ from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings, TableReadings
 from sims.physics.hidden import Hidden
 from station.opening import DeviceTruth
-from station.scripts.script import paper_script
+from station.scripts.script import Rest, Rotate, Script, paper_script
 
 ASYMMETRY = {"scale_asymmetry": {"size": ["2000 ppm", "-1500 ppm", "1000 ppm", "2500 ppm"]}}
 
@@ -46,6 +46,21 @@ def test_an_effect_that_the_script_cannot_show_is_in_the_sigmas_unless_it_is_rul
     assert any("cannot show, mainly" in note and "scale asymmetry" in note for note in expected.notes)
     without = calibrate(recording, excluded=frozenset({"scale_asymmetry", "scale_quadratic", "scale_cubic"}))
     assert unseen(without)[:, 0].max() < 0.8 * unseen(expected)[:, 0].min()
+
+
+def test_the_order_of_sources_does_not_decide_what_may_be_there_unseen() -> None:
+    steps = (Rest(20.0), Rotate("z", 0.5, 40.0, 0.5, ""), Rest(20.0), Rotate("z", -0.5, 40.0, 0.5, ""), Rest(20.0))
+    recording = direct_recording(3, script=Script("z alone", steps), array=triad(), kind=None, rate_hz=50.0)
+    data = recording.sources["array"]
+    across, along = (
+        replace(data, array=data.array.select(rows), rate_rps=data.rate_rps[:, rows]) for rows in ([0, 1], [2])
+    )
+    sds = []
+    for sources in ({"across": across, "along": along}, {"along": along, "across": across}):
+        gyros = calibrate(replace(recording, sources=sources), excluded=frozenset()).gyros
+        sds.append({gyro.name: gyro.sd for gyro in gyros})
+    for name, sd in sds[0].items():
+        assert sd == pytest.approx(sds[1][name], rel=0.01), name
 
 
 def test_the_residual_still_tells_what_the_motion_does_show() -> None:
