@@ -52,11 +52,11 @@ def calibrate(
     do unseen; not for None. Defective gyros are left out and listed in the result. Accelerometers are calibrated too.
 
     Raises RecordingError if a source has no samples the reference covers, no gyro can be estimated, or memory is too
-    small; ModelError for any model beside poses, and if the recording lacks what the model needs.
+    small; ModelError for a model beside poses, and if the recording lacks what the model needs.
     """
-    if model is not None:
-        check_model(model, recording)
     given = model if model is not None and not model.is_empty else None
+    if given is not None:
+        check_model(given, recording)
     of_forces = given.forces if given is not None else ()
     model = given if given is not None and given.effects else None
     recording, sources, notes, defective = _usable(recording)

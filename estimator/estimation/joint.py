@@ -53,7 +53,7 @@ _BLOCK_ROWS = 4  # fewer samples give no scatter
 
 
 def check_model(model: ErrorModel, recording: Recording) -> None:
-    """Check that the reference of a recording can show effects at all.
+    """Check that the reference of a recording can show effects at all, for a model that has some.
 
     Raises ModelError for poses, and for turns with an effect that acts within turns or fewer than ``FEWEST_TURNS``
     turns. For all other references it does nothing.

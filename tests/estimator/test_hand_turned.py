@@ -11,6 +11,7 @@ from hand_turned import ARW, G_MPS2, RATE_HZ, Errors, Laid, by_known_angles, fin
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from estimator.calibration.error_model import ErrorModel, KnownEffect, ModelError
 from estimator.errors import InvestigationError
 from estimator.estimation.calibrate import calibrate
 from estimator.recordings.reading import read_recording
@@ -117,6 +118,15 @@ def least_squares_of(laid: Laid) -> np.ndarray:
         return np.concatenate(out)
 
     return least_squares(left, [*np.eye(3).ravel(), 0, 0, 0], x_scale=1e-3).x
+
+
+def test_a_model_without_effects_counts_as_none_beside_poses_and_few_turns(tmp_path) -> None:
+    few_turns, _ = by_known_angles(6, each=1, seconds=(3.0,), angles_deg=(360.0,))
+    for recording in (few_turns, recording_of(tmp_path, from_pose_to_pose(11, poses=12))):
+        plain, empty = calibrate(recording), calibrate(recording, model=ErrorModel(()))
+        assert np.array_equal([gyro.states for gyro in plain.gyros], [gyro.states for gyro in empty.gyros])
+    with pytest.raises(ModelError, match="Leave out --model"):
+        calibrate(recording, model=ErrorModel((KnownEffect("latency", False, ()),)))
 
 
 @pytest.mark.parametrize("seed", [11])
