@@ -111,6 +111,7 @@ def next_script(
     sigmas, that one leaves of the other's effect, plus what the former's greater freedom costs it. The shortest script
     that decides all sets with a probability of 0.95 is taken, else the best one; a longer one must be better by 0.01.
     """
+    past, judging = _same_devices(past, judging)
     names = {name for own in rivals for name in own}
     effects = _effects(names, gimbals, past)
     sets = list(dict.fromkeys(known for own in rivals if (known := tuple(n for n in own if n in effects))))
@@ -134,6 +135,16 @@ def next_script(
         if probability >= SETTLED:
             break
     return best
+
+
+def _same_devices(past: Sequence[Past], judging: Sequence[Past]) -> tuple[list[Past], list[Past]]:
+    """Return both with the device of a source that states none, by the others that have a gyro of the same name."""
+    stated = {name: p.device for p in (*past, *judging) if p.device for name in p.array.names}
+
+    def named(runs: Sequence[Past]) -> list[Past]:
+        return [p if p.device else replace(p, device=stated.get(p.array.names[0], "")) for p in runs]
+
+    return named(past), named(judging)
 
 
 def _effects(names: set[str], gimbals: Sequence[str], past: Sequence[Past]) -> dict[str, list[Effect]]:
@@ -193,8 +204,9 @@ class _Grams:
         return cls(matrices, own, shared)
 
     def __add__(self, other: Self) -> Self:
-        """Return the information of both together, for the gyros of this one; others of ``other`` are left out."""
-        matrices = {key: matrix + other.matrices.get(key, 0.0) for key, matrix in self.matrices.items()}
+        """Return the information of both together, for the gyros of either."""
+        keys = dict.fromkeys([*self.matrices, *other.matrices])
+        matrices = {key: np.asarray(self.matrices.get(key, 0.0) + other.matrices.get(key, 0.0)) for key in keys}
         return replace(self, matrices=matrices)
 
     def beside_states(self, names: Sequence[str]) -> tuple[Floats, list[Floats]]:

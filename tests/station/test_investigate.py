@@ -343,6 +343,23 @@ def test_the_next_script_turns_both_ways_for_asymmetry_against_a_square() -> Non
     assert len(rates) >= 4
 
 
+def test_a_verification_run_that_alone_states_its_device_counts_for_the_next_script() -> None:
+    limits, gimbals = load_bench(None).table.limits, ("z", "y", "x")
+    short = Script("short", (Rest(15.0), *there_and_back("z", 20.0, 12.0), Rest(15.0)))
+    first, second = past_of(short, verification_script())
+    judging = [replace(second, device="unit 7")]  # it ends last: the next run is foreseen with this device
+
+    def following(device: str) -> NextScript:
+        past = [replace(first, device=device)]
+        script = next_script([("latency",)], {}, past, limits, gimbals, SITE, judging=judging, most_s=200.0)
+        assert script is not None
+        return script
+
+    assert following("") == following("unit 7")
+    assert following("").probability > 0.95
+    assert following("unit 8").probability > 0.95
+
+
 def test_a_next_script_keeps_within_the_time_that_is_left() -> None:
     limits, gimbals = load_bench(None).table.limits, ("z", "y", "x")
     past, rivals = past_of(paper_script()), [("bias_drift", "warm_up")]
