@@ -95,6 +95,19 @@ class AcutrolAxisTwin:
             way = value - self._position_demand
             self._go(self._position_demand + (math.remainder(way, 360.0) if self._wrapped else way))
 
+    def demanded(self, quantity: str) -> float:
+        """Return the present demand for rate, acceleration or position, this from 0 to 360 if the axis is wrapped.
+
+        AclError for any other word, such as delta, which ends in a position.
+        """
+        if quantity == "rate":
+            return self._rate_demand
+        if quantity == "acceleration":
+            return self.limits["acceleration", "rate"]
+        if quantity == "position":
+            return self._position_demand % 360.0 if self._wrapped else self._position_demand
+        raise AclError("Command not recognized")
+
     def set_limit(self, quantity: str, mode: str, value: float) -> None:
         """Set a limit of a mode, within the absolute one."""
         if not 0.0 < value <= self.most[quantity] * 1.001:

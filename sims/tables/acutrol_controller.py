@@ -88,8 +88,8 @@ class AcutrolController(LineController):
         """Carry out one command, or query, of a subsystem and return its answer, OK if it has no value.
 
         ``arguments`` are separated by commas, the axis first. An interlock command without an axis is for all; commands
-        of the subsystem utility do nothing. Those of any but limit, interlock, mode and read are demands, also if
-        queried, of the last argument. AclError if the command is wrong or refused.
+        of the subsystem utility do nothing. Those of any but limit, interlock, mode and read are demands of the second
+        argument, or queries of the present demand. AclError if the command is wrong or refused.
         """
         given = [argument.strip() for argument in arguments.split(",")]
         if subsystem == "utility":
@@ -114,7 +114,16 @@ class AcutrolController(LineController):
         elif subsystem == "read":
             return f"{axis.read(_full(word, _WORDS['read'])):.6f}"
         else:
-            axis.demand(_full(word, _WORDS["demand"]), number(given[-1], AclError("Parameter error")))
+            return self._demand(axis, _full(word, _WORDS["demand"]), query, given[1:])
+        return "OK"
+
+    def _demand(self, axis: AcutrolAxisTwin, quantity: str, query: bool, given: list[str]) -> str:
+        """Demand the value ``given`` of an axis, or return the present demand if ``query``; AclError for wrong ones."""
+        if len(given) != (0 if query else 1):
+            raise AclError("Wrong number of arguments")
+        if query:
+            return f"{axis.demanded(quantity):.6f}"
+        axis.demand(quantity, number(given[0], AclError("Parameter error")))
         return "OK"
 
     def _limit(self, quantity: str, query: bool, given: list[str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import random
 from collections.abc import AsyncIterator
@@ -140,6 +141,10 @@ def test_words_may_be_long_or_short(form: str) -> None:
         (":dem:delta 1,10", "Not in position mode"),
         (":lim:acc rate,1,1e9", "out of range"),
         (":dem:rate 1,fast", "Parameter error"),
+        (":dem:rate 1", "Wrong number of arguments"),
+        (":dem:rate 1,2,3", "Wrong number of arguments"),
+        (":dem:rate? 1,2", "Wrong number of arguments"),
+        (":dem:delta? 1", "not recognized"),
         (":read", "Axis missing"),
     ],
 )
@@ -148,6 +153,21 @@ def test_what_the_twin_refuses_it_says(line: str, words: str) -> None:
     reply = say(controller, written, line)
     assert words in reply
     assert refusal(reply)
+
+
+def test_a_query_of_a_demand_returns_it_and_moves_nothing() -> None:
+    written: list[bytes] = []
+    times_s = itertools.count()  # the clock is a second further whenever it is read
+    model = TableModel({"x": AxisData(MAX_RATE, LIMITS.acceleration_rps2, 36_000_000)}, lambda: float(next(times_s)))
+    controller = twin_on("acutrol", model, written.append, {"x": 1})
+    for line in (":int:close 1", ":dem:rate 1,5", ":dem:acc 1,20", ":mode:pos 1"):
+        assert say(controller, written, line) == "OK"
+    for quantity, value in (("rate", 5.0), ("acceleration", 20.0), ("position", 0.0)):
+        assert say(controller, written, f":demand:{quantity}? 1") == f"{value:.6f}"
+    for _ in range(60):
+        assert say(controller, written, ":read:pos? 1") == "0.000000"
+    assert say(controller, written, ":dem:pos 1,-30") == "OK"
+    assert say(controller, written, ":dem:pos? 1") == "330.000000"
 
 
 def test_ok_and_values_are_no_refusals() -> None:
