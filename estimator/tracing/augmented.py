@@ -109,6 +109,10 @@ class Augmented:
             mean[g, : len(own)], covariance[g, : len(own), : len(own)] = own, its
         return replace(self, mean=mean, covariance=covariance)
 
+    def without_wander(self) -> Self:
+        """Return the model with the white noise of its gyros alone: biases that do not wander."""
+        return replace(self, instability=0.0, walk=0.0)
+
     def slice_of(self, name: str) -> slice:
         """Return where the parameters of the effect of this name among candidates are."""
         number = [part.candidate.name for part in self.parts].index(name)

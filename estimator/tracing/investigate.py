@@ -17,7 +17,7 @@ from estimator.packaged import sentence
 from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
-from estimator.tracing.investigation import Finding, Investigation, ModelStep, OutOfSample
+from estimator.tracing.investigation import COMMON_CAUSE, Finding, Investigation, ModelStep, OutOfSample, Unexplained
 from estimator.tracing.judging.averaging import averaged, beside_suspect, between_notes, between_recordings
 from estimator.tracing.judging.cross_validation import confirmed, judged, out_of_sample
 from estimator.tracing.judging.verification import Judged
@@ -157,6 +157,9 @@ def _conclude(
     unexplained = unexplained_of(fitted[1]) if opened.probability > CERTAIN else beyond_noise(search, found)
     if unexplained and _explained_by(search, terms, doubtful):
         unexplained = None
+    shared = errors.sharing.certain
+    if shared and not unexplained and not doubtful:
+        unexplained = unexplained_of(fitted[1]) or Unexplained(COMMON_CAUSE, errors.sharing.share)
     faulty = faults_added(faults)
     causes = Causes.among(search, certain, after, fitted[1], unexplained)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)
@@ -169,6 +172,8 @@ def _conclude(
         verdict = surprised(certain, suspected, verified[1])
         gyros = beside_suspect(gyros, with_it)
     left = verified[1] if contradicted or understated else None
+    if shared and held_back:  # a wander that the gyros share is none of theirs
+        (left,) = residuals(held_back, [after.without_wander()], len(search.runs), held_back=True)
     causes = causes.less_probable(_most_probable(search, certain, verdict, errors, left))
     models = [ModelStep((), 0.0, errors.before)]
     gained = found.log_evidence[-1] - found.log_evidence[0]
@@ -209,7 +214,8 @@ def _most_probable(
 
     A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open,
     and only as far as its form predicts better than any function of the same variables. ``left`` is the residual of a
-    verification run that contradicts the model or shows a larger error than its covariance allows, else None. An effect
+    verification run if it contradicts the model, shows a larger error than its covariance allows, or if the gyros share
+    what is left; else None. An effect
     is no more probable than its share of what it explains of that run's squared error and what is left there of its
     kind: an effect that imitates another leaves such. That does not hold where the reference is another instrument,
     whose own errors are in that run. Tones are seen as lines: they, and effects without a limit, have no entry.

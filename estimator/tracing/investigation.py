@@ -69,10 +69,15 @@ class OutOfSample:
         return self.by_step if self.by_run is None else min(self.by_run, self.by_step)
 
 
+COMMON_CAUSE = "a cause that acts on all gyros"
+"""What the unexplained part depends on if the gyros share it and it depends on no measured variable."""
+
+
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """Structure of the residual that no effect explains: what it depends on, and the share of the residual that
-    does.
+    """Structure of the residual that no effect explains: what it depends on, and the share of the residual that does.
+
+    With ``COMMON_CAUSE`` the share is that of the slow residual.
     """
 
     depends_on: str

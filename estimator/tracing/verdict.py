@@ -12,7 +12,7 @@ from estimator.estimation.noise_evidence import bias_notes
 from estimator.observations.defects.faults import Fault
 from estimator.packaged import sentence
 from estimator.tracing.augmented import Augmented, Part
-from estimator.tracing.investigation import Added, Finding, OutOfSample, Unexplained, Value
+from estimator.tracing.investigation import COMMON_CAUSE, Added, Finding, OutOfSample, Unexplained, Value
 from estimator.tracing.residuals.residual import Residual
 from estimator.tracing.search import CERTAIN, Found, Search
 from estimator.tracing.tones.causes import faint, images
@@ -59,10 +59,7 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
         return Verdict(Finding.CANNOT_TELL, f"these recordings {' and '.join(told)}", rivals, unexplained)
     reasons = [f"added {', '.join(added)}"] if added else []
     if unexplained:
-        beyond = "is beyond the noise and " if unexplained.depends_on == NOTHING_MEASURED else ""
-        reasons.append(
-            f"{unexplained.share:.0%} of the residual {beyond}depends on {unexplained.depends_on}, unexplained"
-        )
+        reasons.append(_unexplained(unexplained))
         likely = [part.called for part in doubtful if part.share >= CERTAIN]
         if likely:
             reasons.append(f"{', '.join(likely)} would explain a part of it, which held-out data do not confirm")
@@ -72,6 +69,14 @@ def verdict_of(added: Sequence[str], doubtful: Sequence[Part], unexplained: Unex
         if added
         else Verdict(Finding.NOTHING, "the residual is consistent with noise")
     )
+
+
+def _unexplained(unexplained: Unexplained) -> str:
+    """Return what of the residual is unexplained, in words."""
+    if unexplained.depends_on == COMMON_CAUSE:
+        return f"{unexplained.share:.0%} of the slow residual comes from {COMMON_CAUSE}, unexplained"
+    beyond = "is beyond the noise and " if unexplained.depends_on == NOTHING_MEASURED else ""
+    return f"{unexplained.share:.0%} of the residual {beyond}depends on {unexplained.depends_on}, unexplained"
 
 
 def surprised(certain: Sequence[Part], wider: Found, residual: Residual | None) -> Verdict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from estimator.estimation.runs.build import runs_of
 from estimator.estimation.runs.run import Run
 from estimator.recordings.recording import Recording
 from estimator.tracing.investigate import investigate
+from estimator.tracing.judging.shared_errors import Sharing, sharing
 from estimator.tracing.residuals.origin import Origin
 from estimator.tracing.residuals.residual import GyroResidual, Residual, residuals
 
@@ -40,6 +42,21 @@ def with_gyros(recording: Recording, **rows: list[int]) -> Recording:
         name: replace(data, array=data.array.select(own), rate_rps=data.rate_rps[:, own]) for name, own in rows.items()
     }
     return replace(recording, sources=sources)
+
+
+def shared_with(recordings: list[Recording], steps_of: Callable[[np.ndarray], np.ndarray]) -> Sharing:
+    """Return what gyros share beside their states, with random walks of 100 deg/h in a root hour added to the biases.
+
+    ``steps_of`` makes the steps (n, 4) of the walks from random numbers (n, 4).
+    """
+    walked = []
+    for order, recording in enumerate(recordings):
+        data = recording.sources["array"]
+        steps = steps_of(np.random.default_rng(order).standard_normal(data.rate_rps.shape))
+        walk = np.cumsum(steps, axis=0) * 100 * DEG / 3600 / 60 / np.sqrt(100)
+        sources = {"array": replace(data, rate_rps=data.rate_rps + walk)}
+        walked.append(replace(recording, sources=sources))
+    return sharing(runs_in(walked), fit_known(walked, []))
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +150,14 @@ def test_gyros_in_several_sources_are_compared_as_those_of_one(late: list[Record
     split = left_by_the_first_model(apart).split
     assert split is not None
     assert split.origin == Origin.COMMON
+
+
+def test_a_wander_that_all_gyros_share_is_not_that_of_their_biases(clean: list[Recording]) -> None:
+    assert not shared_with(clean[:2], lambda steps: steps).certain
+    # One course, with another sign and size in each gyro.
+    alike = shared_with(clean[:2], lambda steps: steps[:, :1] * [1.0, -0.7, 1.3, -1.0])
+    assert alike.certain
+    assert alike.share > 0.5
 
 
 def test_three_gyros_on_three_axes_cannot_tell_whose_an_error_is(late: list[Recording]) -> None:

@@ -14,6 +14,7 @@ from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.investigation import OutOfSample
 from estimator.tracing.judging.expected import expected_squares
+from estimator.tracing.judging.shared_errors import sharing
 from estimator.tracing.judging.structure import with_structure
 from estimator.tracing.judging.verification import (
     Judged,
@@ -153,10 +154,12 @@ def judged(
     ``held_back`` are the runs of ``verification``; with tones in the last model they are formed again with blocks short
     enough for them. The share of draws in which the error is larger than expected is returned for models with effects.
     """
-    evidence, terms = together([*search.runs, *held_back], after, search.evidence.shapes)
+    all_runs = [*search.runs, *held_back]
+    evidence, terms = together(all_runs, after, search.evidence.shapes)
     true, misfit = after.estimated(evidence.posterior(terms)), evidence.misfit
+    shared = sharing(all_runs, after)
     if not held_back:
-        return _cross_validated(search, before, after, true, misfit)
+        return replace(_cross_validated(search, before, after, true, misfit), sharing=shared)
     tones = [part.tone.found.frequency_hz for part in after.parts if part.tone is not None]
     fine_s = min([BLOCK_S, *(1 / (_TONE_BLOCKS * hz) for hz in tones)])
     runs, first = list(held_back), len(search.runs)
@@ -164,8 +167,8 @@ def judged(
         runs = runs_of_all(verification, held_back[0].order, fine_s)[0]
         scale = len(runs[0].t_s) / len(held_back[0].t_s)
         misfit = {key: scale * squares for key, squares in misfit.items()}
-    errors = with_structure(runs, first, (before, after), drawn(runs, first, before, after, true, misfit))
-    found = judge(runs, first, before, after, True, errors)
+    errors = with_structure(runs, first, (before, after), drawn(runs, first, before, after, true, misfit), shared)
+    found = replace(judge(runs, first, before, after, True, errors), sharing=shared)
     squares = sum_of(errors.values()).after
     candidates = [part.candidate for part in after.parts]
     if after.parts:

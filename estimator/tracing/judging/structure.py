@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from estimator.estimation.runs.run import Run, with_gyro
 from estimator.estimation.spectra import Stretch, cosines
 from estimator.tracing.augmented import Augmented
+from estimator.tracing.judging.shared_errors import NOTHING_SHARED, Sharing
 from estimator.tracing.judging.verification import DRAWS, Drawn, phases_of
 from estimator.tracing.residuals.origin import shape_of
 from estimator.types import Floats
@@ -59,19 +60,25 @@ class _GyroShape:
 
 
 def with_structure(
-    runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], errors: Mapping[str, Drawn]
+    runs: Sequence[Run],
+    first: int,
+    models: tuple[Augmented, Augmented],
+    errors: Mapping[str, Drawn],
+    sharing: Sharing = NOTHING_SHARED,
 ) -> dict[str, Drawn]:
     """Return the drawn errors of two models on ``runs``, plus what the phases show beyond them.
 
     Whether an effect is missing is one question for all gyros; how much, one for each gyro. Draws with a larger error
     than the phases show are less likely. Where an effect is missing, the error of the first model is that of the last
     plus the measured difference of their squared residuals, since what is missing may be like what the models differ
-    in. ``first`` is the number of the first run, ``errors`` are by gyro.
+    in. ``first`` is the number of the first run, ``errors`` are by gyro. What gyros certainly share is no wander.
     """
     drawn = dict(errors)
     shapes = {name: _shape(runs, first, models, name) for name in errors}
     shapes = {name: shape for name, shape in shapes.items() if shape.phases}
     wander = _share_of_wander([phase for shape in shapes.values() for phase in shape.phases])
+    if sharing.certain:
+        wander = (1 - sharing.share) * wander
     for name, shape in shapes.items():
         shown, doubt = _beyond_noise(shape.phases, 1, wander)
         beyond = np.maximum(drawn[name].after - shown.max(), 0.0)

@@ -18,6 +18,7 @@ from estimator.estimation.spectra import Stretch
 from estimator.geometry.model import decode
 from estimator.tracing.augmented import Augmented
 from estimator.tracing.investigation import Errors, GyroErrors, Improvement, PhaseErrors, ResidualView
+from estimator.tracing.judging.shared_errors import NOTHING_SHARED, Sharing
 from estimator.tracing.residuals.origin import shape_of
 from estimator.types import Floats
 
@@ -50,6 +51,7 @@ class Judged:
     ``surprise``: what the last model leaves, in sigmas of chance. ``understated``: probability that its error is more
     than twice what its own covariance says. ``formless``: probability that it is more than half as much again as with
     flexible laws of known form. Both are 0 without runs held back, and ``formless`` without such laws.
+    ``sharing``: what the gyros have in common in what it leaves of all runs.
     """
 
     before: Errors
@@ -60,6 +62,7 @@ class Judged:
     surprise: float
     understated: float = 0.0
     formless: float = 0.0
+    sharing: Sharing = NOTHING_SHARED
 
 
 @dataclass(frozen=True, slots=True, eq=False)

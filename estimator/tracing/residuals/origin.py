@@ -77,7 +77,7 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
         axes = "one axis" if rank == 1 else f"{rank} axes"
         return None, sentence("tracing.too_few_gyros", gyros=count, plural="s" * (count > 1), axes=axes)
     sums = np.zeros((len(_BANDS), 3))
-    for stretch, rest in _common_stretches(runs, rests, names):
+    for stretch, rest in common_stretches(runs, rests, names):
         white = cosines(rest / arw) * np.sqrt(stretch.length_s / shape_of(model, stretch))[:, None]
         squares = np.column_stack([(white @ left) ** 2, np.ones(len(white))])
         squares = np.add.reduceat(squares, [0, rank, count], axis=1)
@@ -123,7 +123,7 @@ def _sense_axes(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> 
     return np.array([axes[name] for name in names])
 
 
-def _common_stretches(
+def common_stretches(
     runs: Sequence[Run], rests: Sequence[Floats], names: Sequence[str]
 ) -> list[tuple[Stretch, Floats]]:
     """Return the stretches of recordings in which all gyros measure, with their residuals (b, n) in rad/s.

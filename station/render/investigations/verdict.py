@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 from estimator.effects.constructed import readable
+from estimator.tracing.investigation import COMMON_CAUSE
 from station.views.figures import UNKNOWN, human, probability, whole_percent
 from station.views.investigation import AddedView, InvestigationView, OutOfSampleView, UnexplainedView
 
@@ -87,8 +88,11 @@ def _rival_size(rival: AddedView) -> str:
 
 def _unexplained(unexplained: UnexplainedView) -> str:
     share = whole_percent(unexplained.share)
+    part = f"{share} of the power of the residual depends on {unexplained.depends_on}"
+    if unexplained.depends_on == COMMON_CAUSE:
+        part = f"{share} of the slow residual comes from {COMMON_CAUSE}: no noise of theirs is alike in all"
     return (
-        f"unexplained: {share} of the power of the residual depends on {unexplained.depends_on}. "
+        f"unexplained: {part}. "
         "No effect of the catalogue and no law built from the measured variables explains it. "
         "The sigmas of the states allow for it"
     )
