@@ -1,10 +1,10 @@
 """Flexible laws: any function of a law's variable, as a sum of terms with a coefficient each.
 
 A law in closed form, such as ``tanh(u/c)``, is one function of its variable among all. These stand for the others: a
-function that bends at some of many nodes, a memory that is any sum of first-order lags, a hysteresis that is any sum of
-plays (Prandtl, Ishlinskii), a relaxation that is any sum of decays (Prony). Where a closed form is right it explains as
-much with far fewer numbers, so it is the more probable; where it is not, they are. Of their many terms those are left
-out that the data do not need (``needed``).
+function that bends at some of many nodes, or changes near some of many angles, a memory that is any sum of first-order
+lags, a hysteresis that is any sum of plays (Prandtl, Ishlinskii), a relaxation that is any sum of decays (Prony). Where
+a closed form is right it explains as much with far fewer numbers, so it is the more probable; where it is not, they
+are. Of their many terms those are left out that the data do not need (``needed``).
 """
 
 from collections.abc import Sequence
@@ -15,24 +15,30 @@ from estimator.effects.constructed import constructed
 from estimator.estimation.runs.run import Run
 from estimator.types import Floats
 
-_NODES = 32
+_NODES, _FORCE_NODES = 32, 12
 _ALIKE, _NEAR = 16, 6  # nodes at equal distances up to the largest rate, and halvings of the first towards rest
+_DIRECTIONS, _WIDTH_RAD = 24, np.pi / 8
 _TAUS_S = np.geomspace(4.0, 400.0, 6)
 _PLAYS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of the range
 
 
-def flexible_laws(runs: Sequence[Run], offers: frozenset[str]) -> list[tuple[str, str]]:
+def flexible_laws(runs: Sequence[Run], offers: frozenset[str], gimbals: Sequence[str]) -> list[tuple[str, str]]:
     """Return flexible laws, each with the kind of the constant {c} that is still to be found in it ("" for none).
 
     A flexible law is a sum of terms that together follow any function of a variable. ``offers`` are the quantities
-    beside rates and times that all runs hold; without a temperature its laws are left out. Laws without terms are left
-    out, too.
+    beside rates and times that all runs hold; without a temperature its laws are left out. ``gimbals`` are the axes of
+    the table to follow functions of. Laws without terms are left out, too.
     """
     size, speed = (_bends(name, _nodes_of_rate(name, runs)) for name in ("abs(u)", "speed"))
     decays = _each("expm1(-t/{})", _TAUS_S)
     plays = _each("play(u,{})", _PLAYS * _range_of("u", runs))
     fixed = [_bends("u", _nodes_of_rate("u", runs)), size, _times(size, "sign(u)"), speed, _times(speed, "u")]
     fixed += [decays, _times(decays, "u"), plays]
+    for axis in gimbals:
+        around = _bumps(f"angle_{axis}")
+        fixed += [around, _times(around, f"u_{axis}"), _bends(f"rate_{axis}", _nodes_of_rate(f"rate_{axis}", runs))]
+    fixed += [_bends("a", _nodes_of_rate("a", runs))]
+    fixed += [_bends(name, _nodes(name, runs, _FORCE_NODES)) for name in ("gs", "gx", "gy", "gz")]
     lagged = [_lagged(speed), _times(_lagged(speed), "u")]
     if "temperature" in offers:
         warmth = _bends("T", _nodes("T", runs))
@@ -76,16 +82,16 @@ def _nodes_of_rate(name: str, runs: Sequence[Run]) -> list[float]:
     return [*below, 0.0, *above]
 
 
-def _nodes(name: str, runs: Sequence[Run]) -> list[float]:
-    """Return ``_NODES`` nodes at equal distances over the range of a variable in the runs; empty if it does not
+def _nodes(name: str, runs: Sequence[Run], count: int = _NODES) -> list[float]:
+    """Return ``count`` nodes at equal distances over the range of a variable in the runs; empty if it does not
     vary.
     """
     low, high = _ends(name, runs)
     if not high > low:
         return []
-    step = (high - low) / _NODES
+    step = (high - low) / count
     first = step * np.floor(low / step)
-    return [float(first + step * n) for n in range(1, _NODES + 1)]
+    return [float(first + step * n) for n in range(1, count + 1)]
 
 
 def _bends(name: str, nodes: Sequence[float]) -> list[str]:
@@ -99,6 +105,13 @@ def _bends(name: str, nodes: Sequence[float]) -> list[str]:
         away = "+" if shown >= 0 else "-"
         terms.append(f"abs({_less(name, shown)}){away}({_less(name, shown)})")
     return terms
+
+
+def _bumps(name: str) -> list[str]:
+    """Return a term for each of many directions of an angle ``name``: positive near the direction, zero elsewhere."""
+    edge = f"{np.cos(_WIDTH_RAD):.4g}"
+    near = [f"cos({_less(name, float(f'{at:.4g}'))})-{edge}" for at in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS]
+    return [f"abs({one})+({one})" for one in near]
 
 
 def _less(name: str, value: float) -> str:
