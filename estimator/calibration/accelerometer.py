@@ -41,6 +41,10 @@ class AccelerometerCalibration:
         """Standard deviations of the states (4,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    def line_u(self, name: str) -> Floats:
+        """Return the standard uncertainties (4,) from a line of the budget, zero where it is missing."""
+        return next((line.u for line in self.budget if line.name == name), np.zeros(4))
+
     def turned(self, axes: Floats) -> "AccelerometerCalibration":
         """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3).
 
@@ -108,7 +112,8 @@ class ForceCalibration:
     ``covariance`` (4 a, 4 a) is that of all states, accelerometer by accelerometer. ``arm_m`` (3,) is the mean place,
     with ``arm_covariance_m2`` (3, 3). ``offset`` is by how much the accelerometers are later than the table's readings.
     ``gravity_mps2`` is the gravity that was assumed, ``gravity_from`` where it comes from. ``doubts`` are notes that
-    question the sigmas. ``effects`` are those of the model that was given.
+    question the sigmas. ``effects`` are those of the model that was given. ``rest_angle_share`` is how far the axes of
+    the table stand off their readings, over how far they would be if they stood anywhere within a count: 0 to 1.
     """
 
     source: str
@@ -124,6 +129,7 @@ class ForceCalibration:
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     effects: tuple[ForceEffectValues, ...] = ()
+    rest_angle_share: float = 0.0
 
     def turned(self, axes: Floats) -> "ForceCalibration":
         """Return it in another frame, in which its own frame has the axes x, y, z in the rows of ``axes`` (3, 3).

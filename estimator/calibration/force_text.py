@@ -47,6 +47,7 @@ def _object(calibration: ForceCalibration) -> dict[str, Any]:
         "notes": list(calibration.notes),
         "doubts": list(calibration.doubts),
         "effects": [_effect_object(effect) for effect in calibration.effects],
+        "rest_angle_share": calibration.rest_angle_share,
     }
 
 
@@ -101,6 +102,7 @@ def _calibration(source: Mapping[str, Any]) -> ForceCalibration:
         notes=tuple(map(str, source["notes"])),
         doubts=tuple(map(str, source["doubts"])),
         effects=tuple(_effect(effect) for effect in source.get("effects", [])),
+        rest_angle_share=float(source.get("rest_angle_share", 0.0)),
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.calibration.accelerometer import ForceCalibration
-from estimator.calibration.budget import Contribution, table_budget
+from estimator.calibration.budget import Contribution, rest_angle_covariances, table_budget
 from estimator.calibration.error_model import ErrorModel
 from estimator.calibration.gyro import GyroCalibration
 from estimator.calibration.values import Calibration, GyroParity, unseen_notes
@@ -30,8 +30,10 @@ from estimator.observations.rests import motion_notes, rest_noise
 from estimator.packaged import sentence
 from estimator.recordings.memory import check_estimating
 from estimator.recordings.recording import Recording
+from estimator.types import least_steps
 
 _CHANCE = 4.0  # standard deviations of the scatter of block means
+_CLEARLY_MORE = 1.0  # of the standard deviation of a misalignment
 _NEAR = 0.05  # accuracy of the estimated noise, in addition
 
 
@@ -68,7 +70,7 @@ def calibrate(
     spoilt, doubts = _doubts(recording, devices, forces)
     effects = tuple(one for device in devices for one in device.undeclared)
     constancy = coverage(recording, [data for _, data in sources])
-    notes += [*gyro_notes, *force_notes]
+    notes += [*gyro_notes, *force_notes, *_rest_angle_notes(recording, gyros, forces)]
     notes += [*undeclared_notes(effects, gyros), *coverage_notes(constancy), *_parity_notes(checks)]
     notes += [*effect_notes(gyros), *doubts]
     order = [name for data in recording.sources.values() for name in data.array.names]
@@ -240,6 +242,30 @@ def _gyros(recording: Recording, estimate: SourceEstimate) -> list[GyroCalibrati
             )
         )
     return gyros
+
+
+def _rest_angle_notes(
+    recording: Recording, gyros: Sequence[GyroCalibration], forces: Sequence[ForceCalibration]
+) -> list[str]:
+    """Return a sentence if the axes stand so far off their counts that misalignments of gyros are less sure than said.
+
+    Accelerometers show how far off they stand; where they are silent nothing is known, and nothing is said.
+    """
+    share = max((one.rest_angle_share for one in forces), default=0.0)
+    if recording.table is None or not share:
+        return []
+    counts_rad = least_steps(np.abs(np.diff(recording.table.angle_rad, axis=0)))
+    largest_rad = 0.0
+    for data in recording.sources.values():
+        own = [next((gyro for gyro in gyros if gyro.name == name), None) for name in data.array.names]
+        arw = np.array([one.noise.mean.arw if one is not None and one.noise is not None else 0.0 for one in own])
+        sd_rad = share * counts_rad / np.sqrt(12)
+        found = rest_angle_covariances(recording.table, recording.site, data.array, data.prior, arw, sd_rad)
+        for one, covariance in zip(own, found, strict=True):
+            if one is not None:
+                u = np.sqrt(np.diag(covariance))[2:]
+                largest_rad = max(largest_rad, float(np.max(u * (u > _CLEARLY_MORE * one.sd[2:]))))
+    return [sentence("estimation.rest_angles", size_urad=1e6 * largest_rad)] if largest_rad else []
 
 
 def _parity(estimates: Sequence[SourceEstimate], gyros: Sequence[GyroCalibration]) -> list[GyroParity]:

@@ -69,7 +69,7 @@ def estimate_forces(
     round them. Doubts are outputs in steps that their noise does not average. Raises TooShort for too few samples
     beside readings of the table, ModelError for an effect that cannot be estimated.
     """
-    settled = _with_rest_angles(settle(recording, source, samples, noise, effects))
+    settled, rest_angle_share = _with_rest_angles(settle(recording, source, samples, noise, effects))
     joint = settled.joint
     laws = {law.called: number for number, law in enumerate(joint.laws)}
     delay, delay_variance = _parameters(joint, laws[DELAY], 0)
@@ -110,6 +110,7 @@ def estimate_forces(
         gravity_from=gravity_at(recording.site).source,
         offset=TimeOffset(settled.delay_s + float(delay[0]), float(np.sqrt(delay_variance[0, 0]))),
         effects=tuple(_effect_values(settled, laws[known.name], known.name) for known in effects),
+        rest_angle_share=rest_angle_share,
     )
 
 
@@ -171,13 +172,17 @@ def _about_its_mean(grid: Conditions) -> Conditions:
     return replace(grid, reference_c=float(np.nanmean(grid.temperature_c)))
 
 
-def _with_rest_angles(settled: Settled) -> Settled:
-    """Return the estimate with the angles at rest, if the encoders round them; else ``settled`` itself."""
+def _with_rest_angles(settled: Settled) -> tuple[Settled, float]:
+    """Return the estimate with the angles at rest and the size of their errors (0 to 1, see ``with_rest_angles``).
+
+    Return ``settled`` itself and 0 if the encoders do not round them.
+    """
     table = settled.run.recording.table
     law = rest_angle_law(table) if table is not None else None
     if law is None:
-        return settled
-    return replace(settled, joint=with_rest_angles(settled.joint, law))
+        return settled, 0.0
+    joint, share = with_rest_angles(settled.joint, law)
+    return replace(settled, joint=joint), share
 
 
 def _laws(run: ForceRun, samples: ForceSamples, arm_m: Floats, delay_s: float) -> list[Law]:

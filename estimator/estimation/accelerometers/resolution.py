@@ -18,11 +18,12 @@ SCALES = np.array([1e-3, 0.25, 0.5, 0.75, 1.0])
 """Sizes of the errors to choose among, of that of angles which are anywhere within their count."""
 
 
-def with_rest_angles(joint: Joint, law: Law) -> Joint:
-    """Return the estimate of one run with the angles of axes that stand as its last law, under the noise found without.
+def with_rest_angles(joint: Joint, law: Law) -> tuple[Joint, float]:
+    """Return the estimate of one run with the angles of axes that stand as its last law, and the size of their errors.
 
-    It is the mean over the sizes that the errors may have, each as probable as the data make it. ``law`` is that of the
-    angles at the size of those that are anywhere within their count.
+    The noise is that which was found without the law. The estimate is the mean over the sizes that the errors may have,
+    each as probable as the data make it. ``law`` is that of the angles at the size of those that are anywhere within
+    their count; the size returned (0 to 1) is the root mean square over that one.
     """
     laws = [*joint.laws, law]
     columns = columns_of(joint.runs[0], [law])
@@ -48,4 +49,5 @@ def with_rest_angles(joint: Joint, law: Law) -> Joint:
         means.append(mean)
         covariances.append(np.einsum("s,sij->ij", chances, within + spread[:, :, None] * spread[:, None, :]))
     both = [np.concatenate([joint.columns[0], columns], axis=2)]
-    return replace(joint, laws=laws, columns=both, means=means, covariances=covariances, evidence=evidence)
+    whole = replace(joint, laws=laws, columns=both, means=means, covariances=covariances, evidence=evidence)
+    return whole, float(np.sqrt(chances @ SCALES**2))
