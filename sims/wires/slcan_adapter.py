@@ -111,10 +111,10 @@ class SlcanAdapter(LineDevice):
             return CR if was_open and not argument else BELL
         if self.is_open:
             return BELL
-        if name == "Z":
-            self._stamps = argument == "1"
         if not re.fullmatch(_TAKEN[name], argument):
             return BELL
+        if name == "Z":
+            self._stamps = argument == "1"
         if name in "OL":
             self.is_open, self._listens_only = True, name == "L"
         return CR

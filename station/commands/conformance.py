@@ -187,8 +187,7 @@ async def _motion(opened: OpenBench) -> str:
 async def _late(opened: OpenBench) -> str:
     """Return what is wrong on a wire that delays: angles of another time, a stop that returns early; "" if nothing.
 
-    Errors of jogs and readings are ignored, as answers may be lost; without any reading it is wrong.
-    """
+    Errors of jogs and readings are ignored, as answers may be lost; without any reading it is wrong."""
     axis, seen = opened.bench.table.gimbals[-1], list[AxisState]()
     for _ in range(3):
         with suppress(DeviceError):  # which a command may meet with where much is lost
@@ -197,9 +196,11 @@ async def _late(opened: OpenBench) -> str:
     for _ in range(300):
         with suppress(DeviceError):
             seen.append(await opened.table.read(axis))
+    if not seen:
+        return "no angle could be read"
     ahead = np.array([state.angle_rad - state.angle_t_ns * 1e-9 * _RATE_RPS for state in seen])
     known = np.array([state.half_width_ns for state in seen]) * 1e-9 * _RATE_RPS + _LITTLE_RPS
-    if (wrong := int((np.abs(ahead - np.median(ahead)) > known).sum())) or not seen:
+    if wrong := int((np.abs(ahead - np.median(ahead)) > known).sum()):
         return f"{wrong} of {len(seen)} angles belong to another time: a late answer was taken for the next one"
     await opened.table.stop()
     await asyncio.sleep(_LOOK_S)

@@ -98,20 +98,22 @@ def read_key(key: Path, certificate: Path) -> tuple[Any, str, Any]:
     """Return the private key in a PEM file, the text of its X.509 certificate (PEM), and the signature method.
 
     The method is ECDSA with SHA-256 for a key on a curve, else RSA with SHA-256. UsageError if a file cannot be read,
-    the key needs a password, the two do not belong together, a key as of Ed25519 cannot sign XML, or packages are
-    missing.
+    the key needs a password, the two do not belong together, the key is of another kind, or packages are missing.
     """
     try:
         from cryptography import x509
         from cryptography.hazmat.primitives import serialization
+        from cryptography.hazmat.primitives.asymmetric import ec, rsa
         from signxml.algorithms import SignatureMethod
     except ImportError:
         raise UsageError("--sign needs more packages: pip install turntable-station[sign]") from None
     try:
         private, pem = serialization.load_pem_private_key(key.read_bytes(), None), certificate.read_text()
-        fits = x509.load_pem_x509_certificate(pem.encode()).public_key() == private.public_key()
-        if not fits or not hasattr(private, "private_numbers"):  # Ed25519 has none, which signatures of XML cannot hold
-            raise ValueError("the certificate belongs to another key" if not fits else "sign with RSA or ECDSA")
+        if x509.load_pem_x509_certificate(pem.encode()).public_key() != private.public_key():
+            raise ValueError("the certificate belongs to another key")
+        on_a_curve = isinstance(private, ec.EllipticCurvePrivateKey)
+        if not on_a_curve and not isinstance(private, rsa.RSAPrivateKey):
+            raise ValueError("sign with RSA or ECDSA")
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"--sign {key} --certificate {certificate}: {error}") from None
-    return private, pem, SignatureMethod["ECDSA_SHA256" if hasattr(private, "curve") else "RSA_SHA256"]
+    return private, pem, SignatureMethod["ECDSA_SHA256" if on_a_curve else "RSA_SHA256"]

@@ -96,8 +96,9 @@ def filter_notes(noises: Sequence[SensorNoise]) -> list[str]:
     None for sensors of which they hold from the shortest one on.
     """
     found = []
-    for shortest_s in dict.fromkeys(noise.terms.shortest_s for noise in noises if noise.terms.trimmed):
-        names = ", ".join(noise.name for noise in noises if noise.terms.shortest_s == shortest_s)
+    trimmed = [noise for noise in noises if noise.terms.trimmed]
+    for shortest_s in dict.fromkeys(noise.terms.shortest_s for noise in trimmed):
+        names = ", ".join(noise.name for noise in trimmed if noise.terms.shortest_s == shortest_s)
         found.append(
             f"{names}: N, B and K hold from {digits(shortest_s)} s on; what is faster is shaped by a filter, an "
             "oscillation or the steps of a converter"

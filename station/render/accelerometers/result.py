@@ -7,7 +7,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from estimator.calibration.accelerometer import AccelerometerCalibration, ForceCalibration
+from estimator.calibration.accelerometer import ForceCalibration
 from station.render.terminal import Shown, print_all, rich_table, stdout
 from station.views.accelerometers.result import (
     FORCE_FIGURES,
@@ -133,7 +133,7 @@ def _budget_table(calibration: ForceCalibration) -> Table:
     names = [line.name for line in calibration.accelerometers[0].budget]
     rows = []
     for name in names:
-        u = np.sqrt(np.mean([_line_of(a, name) ** 2 for a in calibration.accelerometers], axis=0)).tolist()
+        u = np.sqrt(np.mean([a.line_u(name) ** 2 for a in calibration.accelerometers], axis=0)).tolist()
         rows.append(
             [LINE_WORDS.get(name, name), *(number(v * f.factor, f.digits) for v, f in zip(u, figures, strict=True))]
         )
@@ -141,8 +141,3 @@ def _budget_table(calibration: ForceCalibration) -> Table:
     rows.append(["combined", *(number(v * f.factor, f.digits) for v, f in zip(combined, figures, strict=True))])
     heads = ["\nsource of uncertainty", *(f"{f.name}\n{f.unit}" for f in FORCE_FIGURES)]
     return rich_table("Sources of the standard deviations, rms over the accelerometers", heads, "lr", rows)
-
-
-def _line_of(accelerometer: AccelerometerCalibration, name: str) -> np.ndarray:
-    """Return the standard uncertainties (4,) of a line of the budget, zero where it is missing."""
-    return next((line.u for line in accelerometer.budget if line.name == name), np.zeros(4))

@@ -154,15 +154,14 @@ def _intrinsic(calibration: ForceCalibration) -> ForceTable:
 def _budget(calibration: ForceCalibration) -> ForceTable:
     """Return the standard uncertainties of the states by source, rms over the accelerometers, and last the combined.
 
-    The sources are those of the first accelerometer, of which there must be one. The mean of a source is over those
-    that have it.
+    The sources are those of the first accelerometer, of which there must be one; where another lacks one it counts as
+    0.
     """
     figures = fitted_forces(calibration)
     names = [line.name for line in calibration.accelerometers[0].budget]
     rows = []
     for name in names:
-        own = [line.u**2 for a in calibration.accelerometers for line in a.budget if line.name == name]
-        u = np.sqrt(np.mean(own, axis=0)).tolist()
+        u = np.sqrt(np.mean([a.line_u(name) ** 2 for a in calibration.accelerometers], axis=0)).tolist()
         rows.append([LINE_WORDS.get(name, name), *(f.text(v) for v, f in zip(u, figures, strict=True))])
     combined = np.sqrt(np.mean([a.sd**2 for a in calibration.accelerometers], axis=0)).tolist()
     rows.append(["combined", *(f.text(v) for v, f in zip(combined, figures, strict=True))])

@@ -212,17 +212,12 @@ def _curves(file: Any) -> dict[str, Trend]:
 
 
 def _investigation(recording: Path) -> InvestigationAnswer | None:
-    """Return the newest investigation stored beside a recording; None if there is none, or it has no verdict.
-
-    Raises what h5py and JSON raise for a damaged file.
-    """
+    """Return the newest investigation stored beside a recording; None if there is none, or it is damaged."""
     kept = recording.parent.glob(f"{recording.stem}{INVESTIGATION}*.h5")
     newest = max(kept, key=lambda path: path.stat().st_mtime, default=None)
     if newest is None:
         return None
-    with h5py.File(newest, "r", locking=False) as file:
+    with suppress(OSError, RecordingError, KeyError, TypeError, ValueError), h5py.File(newest, locking=False) as file:
         list(objects(newest, file))
-        found: dict[str, Any] = read_json(plain(file["investigation"].attrs["json"]))
-    with suppress(KeyError, TypeError, ValueError):
-        return InvestigationAnswer.read(found)
+        return InvestigationAnswer.read(read_json(plain(file["investigation"].attrs["json"])))
     return None

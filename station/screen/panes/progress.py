@@ -14,6 +14,7 @@ from station.screen.sessions.live_run import SILENCE_S, LiveRun, Stage
 from station.views.figures import OUTCOME_STYLES, clock, clock_between, number
 
 _REASON_ROWS = 4
+_OMITTED = " ..."
 _BOLD, _DIM, _ALARM = "bold", "dim", "bold red"
 
 
@@ -86,8 +87,9 @@ def _run_lines(run: LiveRun, width: int) -> list[Text]:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    """Return a reason in a few lines."""
-    return textwrap.wrap(text, width=max(width, 1), max_lines=_REASON_ROWS, placeholder=" ...")
+    """Return a reason in a few lines of ``width`` or, in a very narrow pane, of the width of the mark of omission."""
+    width = max(width, len(_OMITTED))
+    return textwrap.wrap(text, width=width, max_lines=_REASON_ROWS, placeholder=_OMITTED)
 
 
 def _ended(run: LiveRun, width: int) -> list[Text]:

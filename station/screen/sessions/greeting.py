@@ -91,8 +91,8 @@ class Greeting:
             script=str(script["name"]),
             steps_begin_s=_steps_begin_s(script),
             manual=bool(data.get("manual")),
-            axes={name: _axis_limits(limits) for name, limits in (data.get("table") or {}).items()},
-            limits=SentLimits.read(data.get("limits") or {}),
+            axes={name: _axis_limits(limits) for name, limits in dict(data.get("table") or {}).items()},
+            limits=SentLimits.read(dict(data.get("limits") or {})),
         )
 
     @property
