@@ -118,7 +118,7 @@ def _trace(search: Search, most: int, tell: Callable[[float], None] | None = Non
     """Return the result of the search, with composed laws unless the reference is another instrument."""
     found = search.run(most, tell)
     if not any(run.by_another for run in search.runs):
-        found = Composer(search, laws_of(search.runs)).composed(found, most)
+        found = Composer(search, laws_of([columns.coarse.run for columns in search.columns])).composed(found, most)
     return replace(found, parts=tuple(weighed_against(search, found.parts)))
 
 
