@@ -20,7 +20,7 @@ class Part:
     """One effect of a model: its candidate, its term, and its fit if it is a ``tone``.
 
     ``probability`` is how certain the effect is, ``rivals`` are the effects that may act in its place; ``share`` is its
-    probability among these alone, before other doubts reduce it.
+    probability among these alone, before other doubts reduce it. ``alike`` are laws that predict the same.
     """
 
     candidate: Candidate
@@ -29,6 +29,7 @@ class Part:
     rivals: tuple[str, ...] = ()
     tone: ToneFit | None = None
     share: float = 1.0
+    alike: tuple[str, ...] = ()
 
     @property
     def called(self) -> str:

@@ -18,6 +18,7 @@ from estimator.recordings.recording import Recording
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.candidates import candidates_of
 from estimator.tracing.investigation import COMMON_CAUSE, Finding, Investigation, ModelStep, OutOfSample, Unexplained
+from estimator.tracing.judging.alike import with_alike_laws
 from estimator.tracing.judging.averaging import averaged, beside_suspect, between_notes, between_recordings
 from estimator.tracing.judging.cross_validation import confirmed, judged, out_of_sample
 from estimator.tracing.judging.verification import Judged
@@ -138,7 +139,7 @@ def _conclude(
     that were seen in the data. ``most`` is the largest number of effects, for a second search if the verification run
     shows an error that the recordings do not.
     """
-    parts, evidence = _visible(search, found), search.evidence
+    parts, evidence = with_alike_laws(search, _visible(search, found), held_back), search.evidence
     weight = evidence.noise_weight([part.term for part in parts])
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)
     named = [part if _of_the_comparison(search, part) else _proven(part, told.get(part.term.name)) for part in parts]

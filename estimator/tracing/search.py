@@ -305,14 +305,20 @@ class Search:
         """
         others = [other for other in chosen if other != name]
         kept = [terms[other] for other in others]
-        scores = self.scores(kept, others)
-        values = {other: score for other, (score, _) in scores.items()}
-        shares = self._shares(values | {"": self.evidence.of(kept) + _STOP_LOG_PRIOR})
+        scores, shares = self.scores(kept, others), self.shares_beside(kept, others)
         order = sorted(shares, key=lambda label: -shares[label])
         before = np.cumsum([0.0, *(shares[label] for label in order[:-1])])
         rivals = tuple(label for label, sum_of in zip(order, before.tolist(), strict=True) if sum_of < _SET)
         share = shares[self._label(name)]
         return Part(self.known[name][0], scores[name][1], share, rivals, share=share)
+
+    def shares_beside(self, terms: Sequence[Term], chosen: Sequence[str]) -> dict[str, float]:
+        """Return the probabilities, by name in results, of what may be added to a model, "nothing" among it.
+
+        ``terms`` are those of the model's effects, ``chosen`` their names.
+        """
+        values = {name: score for name, (score, _) in self.scores(terms, chosen).items()}
+        return self._shares(values | {"": self.evidence.of(terms) + _STOP_LOG_PRIOR})
 
     def _shares(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the probabilities by name in results; candidates with the same name there are added.

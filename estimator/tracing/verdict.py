@@ -203,7 +203,7 @@ def added_of(search: Search, found: Found, part: Part, model: Augmented, told: O
     gyros = tuple(model.names) if shared else tuple(shown or model.names)
     law = candidate.law
     called = in_words(law) if law else candidate.called
-    copies = tuple(search.copies(part, found.terms))
+    copies = tuple(dict.fromkeys([*search.copies(part, found.terms), *part.alike]))
     return Added(
         effect=called,
         gyros=gyros,
