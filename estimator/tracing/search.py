@@ -262,7 +262,8 @@ class Search:
     def copies(self, part: Part, terms: Sequence[Term]) -> list[str]:
         """Return the effects that could give the same output as this one within chance, whatever their prior is.
 
-        ``terms`` are those of the model. Empty for shared effects and tones; these and general dependences are no
+        They have their names among rivals; laws of its own variables are not listed. ``terms`` are those of the model.
+        Empty for shared effects and tones; these and general dependences are no
         copies.
         """
         if part.term.shared or part.tone is not None:
@@ -288,8 +289,8 @@ class Search:
             cross = products(term, part.term) @ sizes
             inner = products(term, term) + np.eye(len(term.columns)) / SCALES[0] ** 2
             left = mine - (cross.swapaxes(1, 2) @ np.linalg.solve(inner, cross)).sum()
-            if left < _COPIED * len(sizes):
-                found.append(candidate.called)
+            if left < _COPIED * len(sizes) and candidate.label != part.candidate.label:
+                found.append(candidate.label)
         return list(dict.fromkeys(found))
 
     def sharpness(self, part: Part, terms: Sequence[Term]) -> float:
