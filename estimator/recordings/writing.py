@@ -65,7 +65,8 @@ class RecordingWriter:
         """
         self.path = path
         self.complete = False
-        """Whether it has been closed with all that was taken."""
+        """Whether it has been closed with all that was taken; not so once rows have been dropped."""
+        self._dropped = False
         self.journal: Journal | None = None
         self._unwritten: list[Entry] = []
         self._noting = threading.Lock()  # ``write_journal`` takes in one thread the notes of others
@@ -216,19 +217,24 @@ class RecordingWriter:
         """
         wanted = self._pending_bytes()
         if self._allowed_bytes() < wanted + _RESERVE_BYTES:
-            self._pending.clear()
+            self._drop()
             raise RecordingError(sentence("recordings.file_limit", path=self.path))
         free = shutil.disk_usage(self.path.parent).free
         if free > wanted + _PLENTY_BYTES:
             yield from self._writing()
             return
         if free + self._ballast.held_bytes < wanted + _CLOSING_BYTES:
-            self._pending.clear()
+            self._drop()
             raise self._full()
         self._ballast.drop()
         self._write()
         if not self._ballast.hold():
             raise self._full()
+
+    def _drop(self) -> None:
+        """Give up the pending rows, which the journal may hold."""
+        self._dropped |= bool(self._pending)
+        self._pending.clear()
 
     def _full(self) -> RecordingError:
         kept = f"{_RESERVE_BYTES / 1e6:.0f} MB are reserved for closing the file"
@@ -292,7 +298,7 @@ class RecordingWriter:
                     self._write()
             with suppress(RecordingError), _told_of(self.path):
                 self._file.close()
-                self.complete = not self._pending
+                self.complete = not self._pending and not self._dropped
 
     def finish(self, *, synced: bool = True) -> None:
         """Remove the journal of a complete file, after syncing that unless ``synced`` is false.

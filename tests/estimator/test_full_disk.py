@@ -15,6 +15,7 @@ import pytest
 
 from estimator.errors import RecordingError
 from estimator.geometry.array import triad
+from estimator.recordings.journal import journal_of
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import RateReadings
 from estimator.recordings.safe_open import probe
@@ -87,7 +88,7 @@ def test_a_limit_on_the_size_of_files_leaves_a_recording_that_can_be_read(tmp_pa
     import resource
 
     path, before = tmp_path / "run.h5", resource.getrlimit(resource.RLIMIT_FSIZE)
-    writer = RecordingWriter(path, {})
+    writer = RecordingWriter(path, {}, journal=True)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, before[1]))
     try:
         with pytest.raises(RecordingError, match="Raise the limit"):
@@ -101,6 +102,9 @@ def test_a_limit_on_the_size_of_files_leaves_a_recording_that_can_be_read(tmp_pa
         assert len(file["imu/a/rate_rps"]) > 50_000
         assert list(file["events/text"]) == [b"table at rest"]
         assert file.attrs["outcome"] == "FAULT"
+    assert not writer.complete  # the rows that were refused may be in the journal
+    writer.finish()
+    assert journal_of(path).exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no limits of a process")
