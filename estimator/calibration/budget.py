@@ -101,7 +101,7 @@ def rest_angle_covariances(
     return covariances
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class _Fit:
     """A fit of the states of m gyros to n readings of a table, under white noise.
 
@@ -130,7 +130,7 @@ class _Fit:
         for arw, own in zip(arw_rps_rthz.tolist(), regressor_maps(array), strict=True):
             information = own @ shared @ own.T + arw**2 * np.diag(1 / prior.variances())
             gains.append(np.linalg.solve(information, own))
-        return cls(t_s, w_rps, period_s, regressors, np.array(gains), array.p)
+        return cls(t_s=t_s, w_rps=w_rps, period_s=period_s, regressors=regressors, gains=np.array(gains), p=array.p)
 
     def shifts(self, rows: slice, change_rps: Floats) -> Floats:
         """Return by how much the states (m, 4) move if the body rate is off by ``change_rps`` (k, 3) at k ``rows``."""

@@ -187,7 +187,8 @@ async def _motion(opened: OpenBench) -> str:
 async def _late(opened: OpenBench) -> str:
     """Return what is wrong on a wire that delays: angles of another time, a stop that returns early; "" if nothing.
 
-    Errors of jogs and readings are ignored, as answers may be lost; without any reading it is wrong."""
+    Errors of jogs and readings are ignored, as answers may be lost; without any reading it is wrong.
+    """
     axis, seen = opened.bench.table.gimbals[-1], list[AxisState]()
     for _ in range(3):
         with suppress(DeviceError):  # which a command may meet with where much is lost
@@ -196,11 +197,10 @@ async def _late(opened: OpenBench) -> str:
     for _ in range(300):
         with suppress(DeviceError):
             seen.append(await opened.table.read(axis))
-    if not seen:
-        return "no angle could be read"
     ahead = np.array([state.angle_rad - state.angle_t_ns * 1e-9 * _RATE_RPS for state in seen])
     known = np.array([state.half_width_ns for state in seen]) * 1e-9 * _RATE_RPS + _LITTLE_RPS
-    if wrong := int((np.abs(ahead - np.median(ahead)) > known).sum()):
+    usual = np.median(ahead) if seen else 0.0
+    if (wrong := int((np.abs(ahead - usual) > known).sum())) or not seen:
         return f"{wrong} of {len(seen)} angles belong to another time: a late answer was taken for the next one"
     await opened.table.stop()
     await asyncio.sleep(_LOOK_S)
@@ -295,9 +295,8 @@ def _bench_of(spec: DeviceSpec, faults: Mapping[str, Any], plugins: Sequence[Pat
     axes = "zyx"[: spec.most_axes if isinstance(spec, TableSpec) else 1]
     keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in faults.items())
     values = {"table": table, "imu": imu, "axes": axes, "channels": built_in_channels(GYROS.get(imu.proposed.array, 0))}
-    values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description)}
+    values |= {"description": str(description or USUAL_DESCRIPTION), "p": _axes_of(description), "rate": rate}
     values |= {"table_faults": keys if table is spec else "", "imu_faults": keys if imu is spec else ""}
-    values["rate"] = rate
     values["other"] = "" if spec in (table, imu) else _other_section(spec, keys, plugins)
     return read_bench(rendered("station.commands", "conformance.toml", values), "conformance", plugins=plugins)
 
