@@ -39,10 +39,11 @@ def run_all(
 ) -> tuple[list[R | None], list[Failure]]:
     """Return ``work(item)`` for each item, in order (None where it failed), and the failures, named by ``name_of``.
 
-    ``work``, items and results must be picklable. They run in ``workers`` processes (default: one per core; in this
-    process if there is one worker or item), or on the cluster at ``scheduler`` (tcp://host:port). The results are the
-    same in each case to the last bit, if this process, too, has one BLAS thread. Progress goes to stderr, under
-    ``label``, unless ``quiet``. UsageError if there is no such cluster, or plug-in files are in use with one.
+    An exception of ``work`` is the failure of its item only. ``work``, items and results must be picklable. They run in
+    ``workers`` processes (default: one per core; in this process if there is one worker or item), or on the cluster at
+    ``scheduler`` (tcp://host:port). The results are the same in each case to the last bit, if this process, too, has
+    one BLAS thread. Progress goes to stderr, under ``label``, unless ``quiet``. UsageError if there is no such cluster,
+    or plug-in files are in use with one.
     """
     results: list[R | None] = [None] * len(items)
     reasons: dict[int, str] = {}
@@ -62,8 +63,8 @@ def _results_as_they_end(
     """Yield the result of each item as it ends: from the cluster ``scheduler``, from ``workers`` processes, or computed
     here.
 
-    Without ``workers`` there are as many as cores that this process may use; a single one, or a single item, is
-    computed here, in order. UsageError as for ``run_all``.
+    Without ``workers``, or with 0, there are as many as cores that this process may use; with a single one, or a single
+    item, all is computed here, in order. UsageError as for ``run_all``.
     """
     if scheduler is not None:
         from station.campaigns.cluster import run_on_cluster

@@ -128,7 +128,7 @@ class _Crew:
         return Ended(index, reason=f"the worker could not begin: {one_line(error)}")
 
     def _look(self) -> None:
-        """Update the number of the cluster's threads, every half second at most.
+        """Update the number of the cluster's threads, every half second at most, at each call while there is none.
 
         _GoneError if the scheduler does not answer, or if it has had no worker for the time of patience.
         """
@@ -149,8 +149,8 @@ class _Crew:
 def _on_worker(software: tuple[str, ...], work: Callable[[T], R], index: int, item: T) -> Ended[R]:
     """Do item number ``index`` on a worker, and return its result or the reason of its failure.
 
-    It fails if the worker's versions differ from ``software`` or BLAS has several threads, as the digits would differ,
-    too.
+    It fails if the worker's versions differ from ``software``, or its environment does not limit BLAS to one thread, as
+    the digits would differ, too.
     """
     if _software() != software:
         return Ended(index, reason=f"the worker has {', '.join(_software())}; here it is {', '.join(software)}")
@@ -188,7 +188,7 @@ def _check_address(address: str) -> None:
 def _check_scheduler(distributed: Any, address: str) -> None:
     """Raise UsageError unless a Dask scheduler answers at ``address`` within 5 s, and not another part of Dask.
 
-    A client might wait for anything else for ever.
+    A client might wait for anything else for ever. ``distributed`` is the module. Call it where no event loop runs.
     """
 
     async def ask() -> Any:

@@ -176,8 +176,9 @@ def _without_ctrl_c() -> Iterator[None]:
 
 @contextmanager
 def _one_blas_thread() -> Iterator[None]:
-    """Let processes that are started within this context have one BLAS thread each; restore the environment
-    afterwards.
+    """Let processes that are started within this context have one BLAS thread each.
+
+    It is by the environment, which is restored afterwards: forked processes would not heed it.
     """
     before = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
     os.environ.update(ONE_BLAS_THREAD)

@@ -72,7 +72,8 @@ def _refused(port: str, path: Path) -> Finding:
 def _held_by_others(port: str, path: Path, root: Path) -> Iterator[Finding]:
     """Yield each other program that has the port open, as far as this user may see.
 
-    ``path`` is the port's in the file system whose root is ``root``. This process and unreadable ones are skipped.
+    ``path`` is ``port`` below ``root``, including ``root``, and must exist. This process and unreadable ones are
+    skipped.
     """
     device = path.stat().st_rdev
     for process in sorted((root / "proc").glob("[0-9]*")):
@@ -100,9 +101,10 @@ def _links_by_id(root: Path) -> list[Path]:
 
 
 def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
-    """Yield the stable names of a port whose number may change when adapters are plugged in again.
+    """Yield a finding for each stable name of a port whose number may change when adapters are plugged in again.
 
-    Nothing for a port that is named by a link already, or has no such name. ``path`` is the port's below ``root``.
+    Nothing for a port that is named by a link already, or has no such name. ``path`` is ``port`` below ``root``,
+    including ``root``.
     """
     if path.is_symlink():
         return
@@ -118,7 +120,7 @@ def _unstable_name(port: str, path: Path, root: Path) -> Iterator[Finding]:
 def _slow_adapter(port: str, path: Path, root: Path) -> Iterator[Finding]:
     """Yield that a USB adapter delays bytes, if its latency timer is above 1 ms, as FTDI's 16 ms by default.
 
-    Nothing for a port without such a timer. ``path`` is the port's below ``root``.
+    Nothing for a port without such a timer. ``path`` is ``port`` below ``root``, including ``root``.
     """
     name = path.resolve().name
     setting = f"/sys/bus/usb-serial/devices/{name}/latency_timer"

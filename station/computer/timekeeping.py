@@ -20,7 +20,7 @@ class ClockWatch:
         self._offset_s = time.time() - self._began_s
 
     def findings(self) -> Iterator[Finding]:
-        """Yield by how much the clock was set since this object was made, if by more than 5 ms."""
+        """Yield by how much the system clock was set since this object was made; nothing up to 5 ms."""
         now_s = time.monotonic()
         step_s = time.time() - now_s - self._offset_s
         if abs(step_s) > _STEP_S:

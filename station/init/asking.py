@@ -54,7 +54,7 @@ def ask_key(
 
 
 def _value(key: Key, text: str) -> Any:
-    """Return an answer as a TOML value: a list for several, a number where the key asks for one, else the text.
+    """Return an answer as a TOML value: a list of texts for several, a number where the key asks for one, or the text.
 
     Parts of a list are separated by blanks or commas, those of a list with a value for each by commas only. A text that
     should be a number and is none stays a text, which the check of the key refuses.

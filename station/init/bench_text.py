@@ -36,8 +36,9 @@ def bench_text(bench: Data, other_kinds: Iterable[DeviceKind] = ()) -> str:
 
 
 def _devices(bench: Data, kind: DeviceKind) -> Iterator[tuple[str, Data]]:
-    """Yield the devices of a kind, each after the beginning of its keys' names, such as "imu.imu_a."; none if there are
-    none.
+    """Yield the devices of a kind, each after the beginning of its keys' names; none if there are none.
+
+    That is "imu.imu_a.", or "table." for a kind of which there is only one.
     """
     section = bench.get(kind.name, [])
     if kind.single and section:

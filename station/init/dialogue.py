@@ -26,9 +26,9 @@ class Dialogue:
     def ask(self, question: str, proposed: str, check: Callable[[str], object] | None = None) -> str:
         """Return an answer that ``check`` accepts; the message of its UsageError is shown and the question repeated.
 
-        An empty line accepts the proposal, a single - is an empty answer. Characters that cannot be printed are
-        refused. If nobody is asked the proposal is returned; UsageError if it is wrong. EndedError at the end of the
-        input.
+        Blanks around it are removed. An empty line accepts the proposal, a single - is an empty answer; ``check`` gets
+        either like any other. Characters that cannot be printed are refused. If nobody is asked the proposal is
+        returned; UsageError if it is wrong. EndedError at the end of the input.
         """
         if not self.asks:
             if check is not None:

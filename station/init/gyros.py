@@ -30,9 +30,10 @@ def built_in_channels(count: int) -> list[Data]:
 
 
 def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Data], object]) -> Data:
-    """Return the device ``imu`` with its array and its signals: a mapping, a DBC with channels, or the built-in DBC.
+    """Return a copy of the device ``imu`` with its array and its signals: a mapping, or channels of a DBC.
 
-    Paths count from ``folder``. ``checked`` raises UsageError for an invalid device; the question is then repeated.
+    That is the built-in DBC if none is named. Array and channels that ``imu`` has are replaced. Paths count from
+    ``folder``. ``checked`` raises UsageError for an invalid device; the question is then repeated.
     """
     dialogue.say("  How are its gyros arranged?")
     bare = {key: value for key, value in imu.items() if key not in ("array", "channels")}
@@ -61,7 +62,7 @@ def ask_gyros(dialogue: Dialogue, imu: Data, folder: Path, checked: Callable[[Da
 
 
 def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
-    """Return the device ``imu`` with its description and, if that does not have three gyros, the array.
+    """Return a copy of the device ``imu`` with its description and, if that does not have three gyros, another array.
 
     Paths count from ``folder``. A description that is invalid is asked for again.
     """
@@ -80,7 +81,8 @@ def ask_description(dialogue: Dialogue, imu: Data, folder: Path) -> Data:
 def _ask_geometry(dialogue: Dialogue, kind: str, count: int = 0) -> tuple[Data, int]:
     """Return the keys of an array of this kind, and its number of gyros.
 
-    The number is that of the kind, else ``count``, else asked for; so are the angle of a cone or the axes of any other.
+    The number is that of the kind, else ``count``, else, if that is 0, asked for; so are the angle of a cone or the
+    sense axes of any other, which are its only key.
     """
     if kind in GYROS:
         return {"array": kind}, GYROS[kind]

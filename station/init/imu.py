@@ -19,11 +19,11 @@ _KEYS = {key.name: key for section in ("bench.prior", "bench.imu", "bench.noise"
 
 
 def ask_imu(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str, names: Sequence[str]) -> Data:
-    """Return a device under test with a name that is not in ``names``; asked are its protocol, link, gyros, rate and
-    noise.
+    """Return a device under test; asked are its protocol, name, link, gyros, rate and noise.
 
-    ``protocol`` and ``link`` are proposed if not empty; paths count from ``folder``. Gyros are asked for only if their
-    signals come from a DBC or a description. UsageError if nobody is asked and a proposal is wrong.
+    Its name is not in ``names``. ``protocol`` and ``link`` are proposed if not empty; paths count from ``folder``.
+    Gyros are asked for only if their signals come from a DBC or a description; else the array is the usual one of the
+    protocol. UsageError if nobody is asked and a proposal is wrong.
     """
 
     def checked(made: Data) -> None:

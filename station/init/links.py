@@ -24,7 +24,7 @@ class Links:
         return free[0] if free else TWIN
 
     def ask(self, dialogue: Dialogue, spec: DeviceSpec, device: str, proposed: str = "") -> str:
-        """Return the link of a device of record ``spec``, after showing the links found; from then on it is taken.
+        """Return the link of a device of record ``spec``, after showing the links found; it is not proposed again.
 
         Proposed is ``proposed``, else a link that is found and free. If nobody is asked it is ``proposed``, else the
         twin. ``device`` is the name of the device, for messages. A link that the device cannot use is asked for again;

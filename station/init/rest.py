@@ -16,7 +16,7 @@ _KNOWN = packaged_toml("station.init", "devices.toml")
 
 
 def ask_rest(dialogue: Dialogue, bench: Data, other_sections: Sequence[str] = ()) -> Data:
-    """Return the complete bench: site, limits, place and twins in addition to the devices in ``bench``.
+    """Return the complete bench: site, limits, place and twins in addition to name and devices in ``bench``.
 
     If all devices under test are twins, it also states that no effects are undeclared. ``other_sections`` are the
     sections of devices of other kinds in it. Answers that are left empty are left out; without a latitude there is no

@@ -16,10 +16,10 @@ _KEYS = {key.name: key for section in ("table", "encoder", "axis", "own_link") f
 
 
 def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, link: str) -> Data:
-    """Ask for the table, and return it: its protocol, link, options, and each of its axes, outermost first.
+    """Ask for the table, and return it: its protocol, link, options, "gimbals", and each of its axes by its name.
 
-    ``protocol`` and ``link`` are proposed if not empty. Paths count from ``folder``. Answers that make the table
-    invalid are asked for again; UsageError if nobody is asked.
+    Axes are outermost first. ``protocol`` and ``link`` are proposed if not empty. Paths count from ``folder``. Answers
+    that make the table invalid are asked for again; UsageError if nobody is asked.
     """
 
     def checked(made: Data) -> None:
@@ -55,8 +55,8 @@ def ask_table(dialogue: Dialogue, links: Links, folder: Path, protocol: str, lin
 def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
     """Return the proposed axes by name, with usual limits; addresses are assigned in the order of the names, x first.
 
-    Axes beyond the protocol's addresses get the last one; without addresses all axes are the same object. Counts per
-    turn are there if the protocol proposes any.
+    Axes beyond the protocol's addresses get the last one; without addresses all axes are the same object, which must
+    not be changed. Counts per turn are there if the protocol proposes any; there is no travel.
     """
     order, last = sorted(names), len(spec.addresses) - 1
     usual: Data = {"counts_per_turn": spec.proposed_counts} if spec.proposed_counts else {}
@@ -69,7 +69,8 @@ def _axes(spec: TableSpec, names: Sequence[str]) -> dict[str, Data]:
 def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
     """Return the proposal for the next axis of the table ``asked``: the answers for the one ``before``, or ``usual``.
 
-    Its address is the usual one, or a free one if that is taken; a link of its own is not proposed again.
+    ``before`` is empty for the first axis. The address is the usual one, or the first free one if that is taken and any
+    is free; a link of its own is not proposed again.
     """
     kept = {key: value for key, value in before.items() if key != "link"} or usual
     if spec.address is None:
@@ -83,7 +84,7 @@ def _proposed(spec: TableSpec, asked: Data, usual: Data, before: Data) -> Data:
 def _ask_axis(
     dialogue: Dialogue, spec: TableSpec, table: Data, name: str, axis: Data, checked: Callable[[Data], object]
 ) -> Data:
-    """Return the axis ``name``, given the ``table`` so far; ``axis`` is the proposal.
+    """Return the axis ``name``, given the ``table`` so far; ``axis`` is the proposal. Neither is changed.
 
     Asked are a link of its own where the protocol has one and the table's is TCP, the address where the protocol has
     one, counts if they are proposed, limits and travel. ``checked`` gets the whole table and raises UsageError if it is

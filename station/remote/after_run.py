@@ -22,7 +22,7 @@ def tell_program(command: Sequence[str], result: Mapping[str, Any], limit_s: flo
 
     ``command`` is the program and its arguments. What goes wrong is that it could not be started, took more than
     ``limit_s``, was ended by Ctrl-C, or another exit code, with the last line that it printed. Processes that it leaves
-    running are not waited for, but are ended with it at the time limit or Ctrl-C.
+    running are not waited for, but are ended with it at the time limit or Ctrl-C. Nothing else that it prints is shown.
     """
     with tempfile.TemporaryFile() as printed:
         try:

@@ -105,7 +105,7 @@ def running_sessions() -> list[Path]:
 def _answers(path: Path) -> bool:
     """Return whether a process listens at a socket; one that does not answer in time counts.
 
-    FileNotFoundError if there is no socket.
+    FileNotFoundError if there is no socket, another OSError if it may not be used.
     """
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(_PROBE_S)

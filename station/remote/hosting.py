@@ -49,7 +49,7 @@ class Host:
     """A socket for one run. Enter it before opening devices: it fails early if the socket cannot be created."""
 
     def __init__(self, time_scale: float = 1.0) -> None:
-        """Prepare without a socket or a run; ``time_scale`` is how many seconds the loop's clock counts in one."""
+        """Prepare without a socket or a run; ``time_scale``: seconds of the loop's clock in one of real time."""
         self.scale = time_scale
         self.events: list[bytes] = []
         """Lines of all events so far."""
@@ -101,7 +101,8 @@ class Host:
     async def end(self, result: Mapping[str, Any]) -> None:
         """Send the last events, a snapshot and the result to all clients and hang up.
 
-        Clients that do not take the result within a second miss it.
+        Clients that do not take the result within a second of real time miss it. Those that have not taken all before
+        get no snapshot.
         """
         self._snapshots()
         last = _line("result", json_object(result))
@@ -145,10 +146,11 @@ class Host:
             client.transport.write(_line("snapshot", json_object(snapshot)))
 
     def do(self, line: bytes, *, late: bool = False) -> bytes:
-        """Carry out a client's request, a line of JSON, and return the answer, empty if there is none.
+        """Carry out a client's request, a line of JSON, and return the answer, a line with its end; empty if none.
 
-        Requests are course, note, stop, pause, resume, and to move by hand jog, go, home, hold and end. With ``late``
-        those that move the table are refused. UsageError if it is invalid or refused.
+        Requests are course, the only one with an answer, note, stop, pause, resume, and to move by hand jog, go, home,
+        hold and end. With ``late`` jog, go and home are refused. UsageError if it is invalid or refused. Call it only
+        after ``begin``.
         """
         assert self._run is not None
         try:

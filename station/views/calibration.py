@@ -53,7 +53,10 @@ class UndeclaredShare:
 
 
 def mean_noise(calibration: Calibration) -> MeanNoise | None:
-    """Return the estimated noise as a mean over the gyros that have one; None if none is estimated."""
+    """Return the estimated noise as a mean over the gyros that have one; None if none is estimated.
+
+    It is not in SI: deg/s/rt Hz, deg/h and deg/h/rt h.
+    """
     found = [gyro.noise for gyro in calibration.gyros if gyro.noise is not None]
     if not found:
         return None
@@ -65,7 +68,8 @@ def mean_noise(calibration: Calibration) -> MeanNoise | None:
 def rest_noise(calibration: Calibration) -> RestNoise | None:
     """Return the noise of the gyros at rest, and where their mean Allan deviation is least; None without rest.
 
-    Gyros without a rest are left out. The mean is over the averaging times that all curves have.
+    Gyros without a rest are left out. The mean is over the averaging times that all curves have; its least value is in
+    deg/h, the noise of each gyro in SI.
     """
     rests = [gyro.rest for gyro in calibration.gyros if gyro.rest is not None]
     if not rests:
@@ -82,10 +86,10 @@ def rest_noise(calibration: Calibration) -> RestNoise | None:
 
 
 def budget_of(calibration: Calibration) -> Mapping[str, Floats]:
-    """Return by name the contributions to the sigmas (4,), rms over the gyros, in SI: noise, the table's uncertainty,
-    and last what they combine to.
+    """Return each contribution to the sigmas (4,), rms over the gyros, in SI, and last, as "combined", their total.
 
-    Empty if there is one contribution only, or gyros differ in them.
+    They are by names for a reader, such as "noise (type A)"; one that has none keeps the name in the budget. Empty if
+    there is one contribution only, or gyros differ in them.
     """
     budgets = [{c.name: c.u for c in gyro.budget} for gyro in calibration.gyros]
     names = list(budgets[0]) if budgets else []
@@ -100,7 +104,8 @@ def undeclared_shares(calibration: Calibration, units: Units) -> list[Undeclared
     """Return for each state the sigma with and without undeclared effects, rms over the gyros in SI, and the effects
     that add most to it, if any.
 
-    ``units`` are those that the states are to be shown in. Empty if the calibration has no such effects, or no gyros.
+    They are in the order of the states; a state that no such effect adds to has empty texts. ``units`` are those to
+    show the states in, and only ``figure`` depends on them. Empty without such effects or gyros.
     """
     if not calibration.undeclared or not calibration.gyros:
         return []

@@ -66,7 +66,7 @@ _EFFECTS = _effect_units()
 
 @cache
 def state_figures(units: Units) -> tuple[StateUnit, ...]:
-    """Return how each of the four states is shown, in order, in the units of the bench file.
+    """Return how each of the four states is shown, in order, in the ``units`` of a bench file.
 
     They are the same for values, sigmas and limits.
     """
@@ -152,8 +152,8 @@ def human(value: float | None, sd: float | None, unit: str) -> str:
     """Return a value with its standard deviation, both in SI, as text in a readable unit, rounded to two digits of the
     latter.
 
-    ``unit`` is the SI unit; one without a readable counterpart is shown itself. "-" if the value is None; four digits
-    if the standard deviation is None, 0 or not finite.
+    ``unit`` is the SI unit; one without a readable counterpart is shown itself. "-" if the value is None; the value
+    alone, with four digits, if the standard deviation is None, 0 or not finite.
     """
     if value is None:
         return UNKNOWN

@@ -69,8 +69,9 @@ class LimitLine:
     def cells(self) -> tuple[str, str, str, str]:
         """Subject, value, bound and the excess as a factor or percentage, as texts in the units of the states' table.
 
-        If there is no estimate, the value is the reason or "not known", and bound and excess are empty; the excess also
-        if the bound is 0. The bound is the lower one for a mean NIS below it, else the upper one.
+        Meant for a broken limit: of one that holds, the excess is the distance to the bound. If there is no estimate,
+        the value is the reason or "not known", and bound and excess are empty; the excess also if the bound is 0. The
+        bound is the lower one for a mean NIS below it, else the upper one.
         """
         if self.note or not math.isfinite(self.value):
             return f"{self.gyro} {self.what}", self.note or "not known", "", ""
@@ -105,7 +106,7 @@ class LimitLine:
 
     @property
     def remedy(self) -> str:
-        """What usually helps where this limit is broken, a sentence, "" for a sensor without an estimate."""
+        """What usually helps where this limit is broken, in sentences, "" for a sensor without an estimate."""
         if self.of_u:
             return "Uncertainty too large. Use a longer or better script: `station plan --improve` finds one."
         if self.what == MEAN_NIS:
@@ -175,9 +176,10 @@ def limit_lines(calibration: Calibration, limits: Limits, labels: Sequence[str] 
 
 
 def _arm_lines(source: ForceCalibration, limits: ForceLimits, *, alone: bool) -> list[LimitLine]:
-    """Return the limits of the sigmas of the lever arm along x, y and z; ``alone``: no other device has accelerometers.
+    """Return the limits of the sigmas of the lever arm along x, y and z, also if none is stated.
 
-    Empty for a joined calibration, which has a lever arm for each mounting and states none.
+    ``alone``: no other device has accelerometers, and the label leaves out the device. Empty for a joined calibration,
+    which has a lever arm for each mounting and states none.
     """
     label = "accel" if alone else f"{source.device or source.source} accel"
     if not source.placed:

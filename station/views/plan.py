@@ -153,7 +153,7 @@ def unnoticed(forecast: EffectForecast) -> Floats:
 def combination(direction: Floats) -> str:
     """Return a direction (4,) of the states in words, such as "k + 0.58 sigma_j"; a bias in it is in rad/s.
 
-    Factors of 1 and parts that are 0 are left out.
+    A factor has three digits; factors of 1 and parts that are 0 are left out, so that a direction of zeros gives "".
     """
     text = ""
     for value, name in zip(direction, _STATES, strict=True):

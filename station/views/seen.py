@@ -23,8 +23,9 @@ class Seen:
 def seen_by(sources: Iterable[ImuData]) -> Seen:
     """Return the conditions of these sources together: least, mean and largest temperature, largest rate, sample rate.
 
-    Temperatures are NaN if none is recorded, the sample rate, the highest of the sources, if it is not known. Rates
-    that are not finite do not count; without any the largest is 0. ValueError without a source.
+    They are in deg C, rad/s and Hz; the mean is over all samples. Temperatures are NaN if none is recorded, the sample
+    rate, the highest of the sources, if it is not known. Rates that are not finite do not count; without any the
+    largest, which has no sign, is 0. ValueError without a source.
     """
     used = list(sources)
     temperatures = [data.temperature_c for data in used if data.temperature_c is not None]

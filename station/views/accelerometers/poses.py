@@ -34,9 +34,10 @@ class ParameterRow:
 
 
 def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
-    """Return the nine parameters in everyday units: scales as factors, biases in m/s2 and again in mg, angles in deg.
+    """Return the nine parameters in everyday units: scales as factors, biases in m/s2, angles in deg from 90.
 
-    Of raw counts scales are in counts/(m/s2) and biases in counts only. Parameters that are not shown have no numbers.
+    Each bias has a second row in mg, so there are twelve rows; of raw counts there are nine, with scales in
+    counts/(m/s2) and biases in counts. A parameter that is not shown has ``NOT_SHOWN`` in place of its value.
     """
     counts = result.unit == "counts"
     rows = []
@@ -54,9 +55,9 @@ def parameter_rows(result: PoseCalibration) -> list[ParameterRow]:
 
 
 def gyro_rows(result: GyroTurnCalibration) -> list[ParameterRow]:
-    """Return the twelve parameters of gyros in everyday units: scales as factors, biases in deg/s, tilts in deg.
+    """Return a row for each of the twelve parameters: scales as factors, biases in deg/s, tilts in deg.
 
-    Parameters that are not shown have no numbers.
+    A parameter that is not shown has ``NOT_SHOWN`` in place of its value.
     """
     rows = []
     for own in result.parameters:
@@ -79,9 +80,9 @@ def triad_rows(triad: Triad) -> list[ParameterRow]:
 
 
 def board_rows(board: Board) -> list[list[str]]:
-    """Return texts for each IMU: its name, arm x, y and z, distance and U of it in mm, and its turn against the first.
+    """Return five texts for each IMU: its name, its arm, distance and U of it in mm, and its turn against the first.
 
-    The turn is a rotation vector in deg, its three parts in one text.
+    Arm and turn, a rotation vector in deg, are one text each, of three parts; those of the first IMU are zeros.
     """
     rows = []
     for imu in board.imus:
@@ -124,7 +125,8 @@ def turn_words(turn: RefusedTurn) -> str:
 def _row(parameter: Parameter, unit: str, factor: float) -> ParameterRow:
     """Return a parameter in a unit, with digits down to the second that counts of its half width.
 
-    ``factor`` is that from SI to the unit. A parameter without value or half width has ``NOT_SHOWN`` and "".
+    ``factor`` is that from SI to the unit. A parameter that lacks one of the two has ``NOT_SHOWN`` as value and "" as
+    half width.
     """
     if parameter.value is None or parameter.u95 is None:
         return ParameterRow(name=parameter.name, value=NOT_SHOWN, u95="", unit=unit)
@@ -237,7 +239,7 @@ def _board_object(board: Board) -> dict[str, Any]:
 
 
 def _imu_object(imu: BoardImu) -> dict[str, Any]:
-    """Return an IMU of a board: its place and rotation relative to the first one, and both calibrations."""
+    """Return an IMU of a board for JSON, in SI: place and rotation (3, 3) against the first one, both calibrations."""
     return {
         "name": imu.name,
         "arm_m": imu.arm_m.tolist(),

@@ -237,7 +237,10 @@ def plan_view(
 
 
 def _mountings_view(planned: PlannedMountings) -> PlannedMountingsView:
-    """Return the view of a device's three mountings joined; without accelerometers there are only gyros."""
+    """Return the predicted sigmas in SI of a device's three mountings joined, by gyro and accelerometer.
+
+    Without accelerometers there are only gyros.
+    """
     return PlannedMountingsView(
         device=planned.device,
         gyros=tuple(
@@ -291,7 +294,10 @@ def _steps(plan: Plan) -> tuple[PlannedStep, ...]:
 
 
 def _step(timed: Timed) -> PlannedStep:
-    """Return the view of a step with its shortest and longest duration, and axis and rate of its last turn, if any."""
+    """Return the view of a step with its shortest and longest duration, and axis and rate of its last turn.
+
+    The longest is None if it has no end, axis and rate are None without a turn.
+    """
     turn = timed.last_turn
     return PlannedStep(
         label=timed.step.label,
