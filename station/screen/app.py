@@ -134,7 +134,7 @@ class StationApp(App[None]):
         """Bring the table to rest at once, without any question.
 
         A run about to start, also that of a mounted device, is cancelled. A session that is shown is stopped if active;
-        if none is shown, all that run. The operator is told of a cancelled start, and of a session out of reach.
+        all that run, if none was shown so far. The operator is told of a cancelled start, and if one cannot be reached.
         """
         sent, self._told_by_key = self._told_by_key, False
         mounted, self.mounted = self.mounted, False

@@ -104,9 +104,10 @@ class Small(Lines):
 
 
 def _lines(run: LiveRun | None, recording_line: str) -> list[Text]:
-    """Return lines about a run, the most important first; one line, outcome and reason, once there is an outcome.
+    """Return four lines about a run, the most important first: what it does, time left, NIS and losses, angles in deg.
 
-    Without a run the line is ``recording_line``, or that no session runs; "starting" before the first snapshot.
+    It is one line otherwise: outcome and reason, once there is an outcome; "starting" before the first snapshot;
+    without a run ``recording_line``, or that no session runs if that is empty.
     """
     if run is None:
         return [Text(recording_line or "no session runs", style="bold")]

@@ -52,9 +52,10 @@ class Choices:
         return ["plan", "--json", *_given(self.script), *bench, *self.device_options]
 
     def run_arguments(self, recording: Path, scale: float | None) -> list[str]:
-        """Return the arguments of `station run`, hosted, into ``recording``; empty choices are left out.
+        """Return the arguments of `station run`, hosted, with JSON, into ``recording``; empty choices are left out.
 
-        ``scale`` is the speed of time, left out if None.
+        ``scale`` is the speed of time in place of that of the choices, left out if None. Options of links, devices and
+        run come last.
         """
         given = {
             "--bench": self.bench,

@@ -175,10 +175,10 @@ def _axis_words(axis: AxisSnapshot, style: str, *, turns: bool) -> list[tuple[st
 
 
 def _axis_curves(axis: AxisSnapshot, radius: float, style: str, *, turns: bool) -> list[Curve]:
-    """Return the circle of a gimbal with ``radius``, an arc to the target of one that ``turns``, and its hand in
-    ``style``.
+    """Return the circle of a gimbal with ``radius``, an arc to the target of one that ``turns``, and its hand.
 
-    The arc is at most one turn long.
+    The hand is in ``style``, the circle too if it turns. The arc is at most one turn long, and missing if the target is
+    not known.
     """
     at = axis.angle_rad
     curves = [_arc(radius, 0.0, 2 * math.pi, style if turns else "mark")]

@@ -114,9 +114,10 @@ class Archive:
         return ReadRecording(Entry(str(path), when_utc_s, wrong=found)) if isinstance(found, str) else found
 
     async def _do(self, work: str, *about: Any, limit_s: float = _LIMIT_S) -> Any:
-        """Run the function ``work`` of ``reading`` in a process; return its result.
+        """Run the function of ``reading`` that is named ``work`` in a process; return its result.
 
-        Return a text in place of it if it took longer than ``limit_s`` or crashed. ``about`` are its arguments.
+        Return a text in place of it if it took longer than ``limit_s`` or crashed; its exceptions are raised. ``about``
+        are its arguments.
         """
         from pebble import ProcessExpired, ProcessPool  # not before the first picture
 

@@ -55,7 +55,7 @@ class FormLine:
     def words(self, width: int, *, first: bool) -> str:
         """Return the line for a terminal of ``width`` columns; the ``first`` line of a table names it.
 
-        In a wide one the meaning of the key follows, unless the fact is wrong.
+        In a wide one the meaning of the key follows, unless the fact is wrong. The line is not cut to the width.
         """
         table = self.table if first else ""
         text = self.text.ljust(34 if width >= _WIDE else 21)
@@ -97,8 +97,9 @@ def _section(table: str) -> str:
 def _form_line(form: Form, checked: Checked, table: str, key: Key) -> FormLine:
     """Return the line of a field: its text, and where that comes from, what is wrong with it, or that it is missing.
 
-    Entered text goes before that of the recording, and that before the bench file. A text that no origin has is
-    remarked as entered.
+    Entered text goes before that of the recording, and that before the bench file; a field of a list, in a ``table``
+    such as "equipment.0", never takes that of the bench file. The remark is what is wrong, else the first origin with
+    the same text, "entered" if no origin has it, else what is lacking.
     """
     field = f"{table}.{key.name}"
     # A list of the bench file is taken over as a whole, or not at all.
@@ -183,7 +184,10 @@ def form_toml(form: Form) -> str:
 
 
 def _toml_lines(form: Form, table: str) -> Iterator[str]:
-    """Yield the TOML lines of entered fields that differ from the recording, and of the serial number in any case."""
+    """Yield the TOML lines of a table's entered fields that differ from the recording, without the table's heading.
+
+    The serial number has a line in any case if it was entered; empty fields have none.
+    """
     for key in keys_of(f"certificate.{_section(table)}"):
         field = f"{table}.{key.name}"
         text = form.entered.get(field)

@@ -138,7 +138,10 @@ def _source_table(snapshot: Snapshot) -> list[tuple[Text, bool]]:
 
 
 def _source_row(source: SourceSnapshot) -> list[str]:
-    """Return name, rate in Hz, counts, latency and jitter in ms, temperature in deg C and link of a source."""
+    """Return the ten cells of a source: name, rate, samples, lost, late, corrupt, latency, jitter, temperature, link.
+
+    Units are Hz, ms and deg C; an unknown number is a dash.
+    """
     return [
         source.name,
         number(source.rate_hz, 1),

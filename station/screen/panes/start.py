@@ -152,8 +152,9 @@ def script_text(view: ScriptView) -> Text:
 def _predicted(plan: PlanView, figures: Sequence[StateUnit]) -> list[Text]:
     """Return lines on the predicted sigmas of each gyro and accelerometer, and axes that do not prove constancy.
 
-    Gyros are in the units of ``figures``, followed by the required sigmas if any is stated; those that do not reach
-    them are yellow. Accelerometers have units of their own and are not judged.
+    Each of these three parts begins with an empty line; only that of the gyros is always there. Gyros are in the units
+    of ``figures``, followed by the required sigmas if any is stated; those that do not reach them are yellow.
+    Accelerometers have units of their own and are not judged.
     """
     heads = ["predicted", *(f"{figure.name} {figure.unit}" for figure in figures)]
     rows = [heads, *([gyro.name, *_sigmas(gyro.sd.values(), figures)] for gyro in plan.gyros)]

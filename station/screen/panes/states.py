@@ -70,8 +70,9 @@ def _state_cells(gyro: GyroSnapshot | AccelerometerSnapshot, figures: Sequence[S
 
 
 def _styled(cells: Sequence[str], gyro: int, exceeded: frozenset[StateCell]) -> Text:
-    """Return the line of gyro number ``gyro``, exceeded states and sigmas in red; a heading if the number is
-    negative.
+    """Return the line of gyro number ``gyro``, exceeded states and sigmas in red; a heading if the number is negative.
+
+    ``cells`` are its name, the value and the sigma of each state in turn, and any further ones.
     """
     if gyro < 0:
         return Text(" ").join(Text(cell, _BOLD) for cell in cells)
@@ -126,9 +127,9 @@ def _change_lines(view: ChangeView) -> list[Text]:
 
 
 def _change_row(old: GyroSnapshot, new: GyroSnapshot, figures: Sequence[StateUnit]) -> list[str]:
-    """Return the name of a gyro and, for each state, its change in the unit shown and in sigmas of the difference.
+    """Return nine cells: the name of a gyro and, for each state, its change in the unit shown and in sigmas.
 
-    The latter is a dash if these sigmas are 0.
+    The sigmas are those of the difference; the latter cell is a dash if they are 0.
     """
     cells = [new.name]
     for at, figure in enumerate(figures):

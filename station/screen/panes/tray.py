@@ -29,7 +29,10 @@ def tray_head(view: TrayView) -> Text:
 
 
 def tray_lines(view: TrayView) -> list[Text]:
-    """Return a line for each item: its place, serial number, script, state and recording."""
+    """Return a line for each item: its place from 1 on, serial number, script, state and recording's file name.
+
+    The script is "360 s" for the built-in one; the file name is missing before the item has run.
+    """
     lines = []
     for place, spot in enumerate(view.spots, start=1):
         script = _script_name(spot) or "360 s"
@@ -44,7 +47,7 @@ def _script_name(spot: TrayItem) -> str:
 
 
 def mount_question(spot: TrayItem, scanned: str) -> str:
-    """Return the question to mount a device; ``scanned`` is the number of another one that was scanned, if any."""
+    """Return the question to mount a device; ``scanned`` is another one's number that was scanned, "" if none was."""
     script = _script_name(spot) or "the 360 s script"
     wrong = f"{scanned} is not {spot.serial}: nothing was started.\n\n" if scanned else ""
     return (

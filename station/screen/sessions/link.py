@@ -87,8 +87,9 @@ class SessionLink:
             self._remote = None
 
     async def _find(self) -> Path | None:
-        """Return the session's socket, waiting for that of a new process; None if the session is gone or did
-        not start.
+        """Return the session's socket, waiting for that of a new process as long as that runs.
+
+        None if the session is gone, or its process ended before it had a socket.
         """
         while True:
             sockets = await asyncio.to_thread(running_sessions)
@@ -166,7 +167,7 @@ async def sessions_there() -> list[tuple[Path, Greeting | None]]:
 
 
 async def _hello(path: Path) -> Greeting | None:
-    """Return the greeting of a session; None if it does not answer, or with something else."""
+    """Return the greeting of a session by its socket; None if it does not answer within five seconds, or otherwise."""
     try:
         remote = await RemoteSession.connect(path)
     except UsageError:

@@ -192,6 +192,7 @@ class LiveRun:
         """Prepend earlier estimates to the trends; a sensor with a null in a point is skipped there.
 
         ``points``, oldest first, have "t_s" and "sensors", by full name the values and the sigmas of the four states.
+        Malformed ones raise before any trend is changed.
         """
         found: dict[str, Trend] = {}
         for point in points:

@@ -35,9 +35,9 @@ async def ask(
     """Run a command of the station to its end; return its answer, which ``read`` makes of the JSON object on stdout.
 
     ``read`` may raise KeyError, TypeError or ValueError for an object that is no answer; there is none then. The object
-    is empty if stdout holds none; an exit code other than 0 raises nothing. The reason is the object's own, else the
-    last line on stderr. ``on_line`` gets each line on stderr that is not blank. Cancelling terminates the command, and
-    kills its process group if that takes too long.
+    is empty if stdout holds none; an exit code other than 0 raises nothing. The reason, one line, is the object's own,
+    else the last line on stderr, else the exit code: it is never empty, also after success. ``on_line`` gets each line
+    on stderr that is not blank. Cancelling terminates the command, and kills its process group if that takes too long.
     """
     process = await asyncio.create_subprocess_exec(
         *command_line(arguments),

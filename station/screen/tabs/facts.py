@@ -161,7 +161,7 @@ def _texts(toml: str) -> dict[str, str]:
     """Return the facts in a TOML text as they are entered, by names such as "equipment.0.due".
 
     Items of a list are joined by " | ". Tables other than ``SECTIONS`` are left out. TOMLDecodeError if it is no TOML,
-    AttributeError if a section is no table.
+    AttributeError if a section is no table, TypeError if a list holds other values than texts.
     """
     found = {}
     for name, facts in tomllib.loads(toml).items():

@@ -153,7 +153,8 @@ class ResultScreen(StationScreen):
     async def _investigate(self, path: Path, judging: Sequence[Path]) -> None:
         """Run `station investigate` on a recording, verified by ``judging``, and show its result or why there is none.
 
-        It is stored beside the recording, as is the next script. Nothing is shown if another recording is open by then.
+        Without any ``judging`` the recording is cross-validated. The result is stored beside the recording, as is the
+        next script. Nothing is shown if another recording is open by then.
         """
         kept = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
         script = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}-next.toml"))
@@ -238,9 +239,10 @@ class ResultScreen(StationScreen):
     def _obstacle(self, action: str) -> str:
         """Return why ``action`` is not possible, "" if it is.
 
-        No action is without a recording that can be read, or while another one works. Accept needs a PASS or ESTIMATED
-        that is not accepted, and an operator; investigate and facts need a calibration. The others need that no session
-        runs, and next a script of the investigation.
+        Names of actions are "accept", "investigate", "facts", "repeat" and "next". No action is without a recording
+        that can be read, or while another one works. Accept needs a PASS or ESTIMATED that is not accepted, and an
+        operator; investigate and facts need a calibration. Repeat and next need that no session runs, and next a script
+        of the investigation.
         """
         entry = self._whole.entry if self._whole is not None else None
         if entry is None or entry.wrong:

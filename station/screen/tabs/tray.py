@@ -120,7 +120,10 @@ class TrayScreen(StationScreen):
         self.station.tray.keep([spot for spot in self.station.tray.spots if spot.state in left])
 
     def action_move(self, step: int) -> None:
-        """Swap the highlighted item with the one before (``step`` -1) or after it (1); nothing if there is none."""
+        """Swap the highlighted item with the one before (``step`` -1) or after it (1), and store the tray.
+
+        Nothing if no item is highlighted, or there is none before or after it.
+        """
         spots, row = list(self.station.tray.spots), self.query_one(OptionList).highlighted
         if row is not None and 0 <= row + step < len(spots):
             spots[row], spots[row + step] = spots[row + step], spots[row]
