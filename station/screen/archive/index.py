@@ -71,8 +71,8 @@ def _done(folder: Path, sql: str, rows: Sequence[Sequence[Any]] | None = None) -
     """Run a statement on the index of a folder, created if missing; return its rows, None if it failed.
 
     Texts in its rows are bytes. With ``rows`` the statement is run once for each of them, as its parameters, and
-    returns []. An index that failed, except for being
-    busy, is deleted. Return None, and touch nothing, if the folder of the index is not this user's alone.
+    returns []. An index that failed, except for being busy, is deleted. Return None, and touch nothing, if the folder
+    of the index is not this user's alone.
     """
     path = index_file(folder)
     try:
