@@ -69,8 +69,9 @@ def load_file(path: Path) -> ModuleType:
         return known
 
     def run() -> ModuleType:
-        """Execute the file as module ``name``, with its text for later, and return it; ImportError if it is not a
-        Python file.
+        """Execute the file as module ``name`` and return it, with its text noted, by which a change is seen later.
+
+        ImportError if it is not a Python file.
         """
         spec = spec_from_file_location(name, path)
         if spec is None or spec.loader is None:
@@ -248,7 +249,7 @@ def _announced(group: str, _path: tuple[str, ...]) -> EntryPoints:
 
 
 def _guarded(plugin: str, file: str, run: Callable[[], T]) -> T:
-    """Return ``run()``; any exception of it becomes a PluginError.
+    """Return ``run()``; any exception of it, SystemExit too, becomes a PluginError.
 
     Its message has ``plugin`` (the plug-in in words), the last line of ``file`` that is in the traceback, the type of
     the exception and the first line of its message.

@@ -141,9 +141,9 @@ class ImuSpec(DeviceSpec):
     family: str = ""
 
     def refused_rate(self, rate_hz: float, options: Mapping[str, Any]) -> str:
-        """Return a sentence with the legal rates if ``rate_hz`` is none of them, else "".
+        """Return a sentence with the legal rates if ``rate_hz`` is none of them, else ""; "" too if any rate is legal.
 
-        ``options`` are those of the device, where one of them decides which rates are legal.
+        ``options`` are those of the device, of which one may decide what is legal.
         """
         chosen = [options[self.rates_by]] if isinstance(self.rates_hz, Mapping) else []
         legal_hz = self.rates_hz[chosen[0]] if isinstance(self.rates_hz, Mapping) else self.rates_hz

@@ -40,9 +40,9 @@ class Companion:
         return bool(self._pieces) and self._pieces[-1].order > order
 
     def matched(self, before: int, lead: list[int], after: int) -> tuple[Flags, list[bytes]]:
-        """Return which leading frames (n,) have a companion, and the data of these companions.
+        """Return which leading frames (n,) have a companion, and the data of these companions, as many as are marked.
 
-        ``lead`` are the places of the leading frames in the order of arrival; ``before`` and ``after`` those of the
+        Nothing is dropped: see ``forget``. ``lead`` are the places of the leading frames in the order of arrival; ``before`` and ``after`` those of the
         leading frames before the first and after the last. Of several candidates the one nearest in time is taken: the
         first after its frame if the companion follows, else the last before it.
         """
@@ -83,7 +83,7 @@ def regular_block(
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
     """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if present.
 
-    ``t_ns``, ``arrival_ns`` and ``counter`` (n,) are taken over as they are.
+    ``t_ns``, ``arrival_ns`` and ``counter`` (n,) are taken over as they are; the block has views of ``values``.
     """
     accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
     return ImuBlock(

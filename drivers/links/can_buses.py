@@ -164,7 +164,9 @@ class SocketcandBus(can.BusABC):
         return found
 
     def _elements(self) -> list[str]:
-        """Receive once and return the complete elements ``< ... >``; keep what follows them, at most 256 bytes.
+        """Receive once and return the complete elements ``< ... >``, with brackets; keep up to 256 bytes behind them.
+
+        Waits for bytes without limit; empty if they complete no element.
 
         CanOperationError if the connection fails or the server has closed it.
         """

@@ -38,7 +38,7 @@ class Stim300Imu(OneSource[ByteLink]):
     """One source of three gyros, with accelerometer and temperatures where the datagram carries them."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Expect datagrams at the rate of ``setup``, which is 125, 250, 500, 1000 or 2000 Hz.
+        """Expect datagrams at the rate of ``setup``, which is 125, 250, 500, 1000 or 2000 Hz (not checked here).
 
         The options ``gyro_unit`` (a name of ``UNITS``) and ``accel_range`` (g) are settings that the device must have.
         None accepts the device's own; of a device that does not answer, angular rates and 10 g are assumed.
@@ -101,7 +101,9 @@ class Stim300Imu(OneSource[ByteLink]):
         )
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Yield (source, block) of about 10 ms each; samples that arrived before the call come first.
+        """Yield (device name, block of about 10 ms); samples that arrived before the call come first.
+
+        Nothing is sent: the device streams by itself.
 
         LinkLost when the link ends; DeviceRefused if a configuration arrives that contradicts the bench file.
         """

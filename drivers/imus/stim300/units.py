@@ -45,7 +45,7 @@ class ClusterUnit:
         return 0.0 if self._kind == 0 else 0.5 / self._rate_hz
 
     def rates(self, raw: Floats, counter: Ints, t_ns: Ints, ticks: int) -> Floats:
-        """Return values (n, 3) from raw numbers (n, 3); NaN stays NaN.
+        """Return values (n, 3) from raw numbers (n, 3), at least one row; NaN stays NaN.
 
         Increments are divided by the sample period. So is, for integrals, the change since the previous sample, also
         across calls. That is NaN for the first sample of all, and where the previous one is missing: ``counter`` (n,)

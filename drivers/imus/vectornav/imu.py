@@ -100,8 +100,9 @@ class VectorNavImu(OneSource[ByteLink]):
         await self._ask(vectornav.Sentence("VNASY", ("1",)))
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Configure the device and yield blocks as bytes arrive; raises as ``configure``, and LinkLost when the link
-        ends.
+        """Configure the device and yield (device name, block) as bytes arrive.
+
+        Raises as ``configure``, and LinkLost when the link ends.
 
         DeviceFault when the device reports a fault of its own (errors 1 and 10), or when its clock shows that it has
         restarted. Other errors are ignored, as are sentences and frames of other outputs.

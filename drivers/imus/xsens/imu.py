@@ -32,7 +32,7 @@ class XsensImu(XbusDevice):
     """One source of three gyros, with accelerometer and temperature where the device sends them."""
 
     def __init__(self, setup: ImuSetup, link: ByteLink) -> None:
-        """Prepare for samples at the rate of ``setup``, a whole number of Hz up to 2000.
+        """Prepare for samples at the rate of ``setup``, a whole number of Hz up to 2000 (not checked here).
 
         The option ``number_format`` (one of ``mtdata2``, by default FLOAT32) is that of the outputs to configure. With
         the option ``configure`` false nothing is ever sent: the device must already stream at this rate.
@@ -93,7 +93,9 @@ class XsensImu(XbusDevice):
         await self._request(Mid.GO_TO_MEASUREMENT)
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Configure the device, unless told not to, and yield blocks of about 10 ms; raises as ``configure``.
+        """Configure the device, unless told not to, and yield (device name, block of about 10 ms).
+
+        Raises as ``configure``.
 
         LinkLost when the link ends, DeviceFault when the device reports an error or has restarted, BadReply if it sends
         nothing usable.

@@ -161,8 +161,9 @@ def parse_mtdata2(data: Bytes) -> tuple[list[Samples], int]:
 
 
 def _layout(data: bytes) -> tuple[Packet, ...] | None:
-    """Return the packets of a message, or None if they do not fill it exactly or a known kind has an impossible
-    size.
+    """Return the packets of a message, () if it is empty.
+
+    None if they do not fill it exactly or a known kind has an impossible size.
     """
     packets: list[Packet] = []
     position = 0
@@ -211,7 +212,10 @@ def _decode(raw: Bytes, number_format: int) -> Floats:
 
 
 def _encode(values: Floats | Ints, number_format: int) -> Bytes:
-    """Return the bytes of values (n, fields) in a float or fixed-point format; the latter are rounded and clipped."""
+    """Return the bytes (n, size) of values (n, fields) in a float or fixed-point format.
+
+    Fixed-point numbers are rounded and clipped.
+    """
     kind = _TYPES[number_format]
     if number_format not in _POINTS:
         return _bytes(values.astype(kind))

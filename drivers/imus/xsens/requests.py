@@ -70,8 +70,9 @@ class XbusDevice(OneSource[ByteLink]):
     def _find_answer(self, mid: Mid) -> bytes | None:
         """Return the data of the first answer to ``mid`` in the inbox; None if there is none.
 
-        Messages before it are dropped; data among them are noted in ``_hears_data``. DeviceRefused if an Error comes
-        first. Ignored are errors of data overflow, and all errors while GoToConfig is asked: it is never refused.
+        It may be empty (b""). It and the messages before it are removed, later ones stay; data among those removed are
+        noted in ``_hears_data``. DeviceRefused if an Error comes first. Ignored are errors of data overflow, and all
+        errors while GoToConfig is asked: it is never refused.
         """
         while self._inbox:
             t_ns, messages = self._inbox.popleft()

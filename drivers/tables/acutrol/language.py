@@ -77,8 +77,10 @@ class AcutrolFraming:
         return Framed(received[self._prefix : end].decode("ascii", "replace").strip(), False, end + 1)
 
     def token(self) -> Token:
-        """Return a token with a number not used lately. Its leading line end terminates a line that was cut off on its
-        way.
+        """Return a token with a random number that was not used lately.
+
+        Sending it makes the number, in 0.01 deg/s, the axis's rate limit of the synthesis mode, and reads that back.
+        The leading line end terminates a line that was cut off on its way.
         """
         number = self._random.randint(self._least, self._largest)
         while number in self._used:

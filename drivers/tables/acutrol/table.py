@@ -261,9 +261,9 @@ class AcutrolTable(LineTable):
             await asyncio.sleep(_TRACK_S / 2)
 
     async def _travel(self, axis: str, task: _Task, leg: str) -> None:
-        """Move on, leg by leg, until the target is reached or the axis has a new task; ``leg`` is the one in progress.
+        """Move on, leg by leg, until the target is reached or the axis has a new task.
 
-        After two changes of position, 0.02 deg from the target is near enough. DeviceRefused if it is not
+        ``leg`` is the kind of leg in progress, as ``_begin_leg`` returns it. After two changes of position, 0.02 deg from the target is near enough. DeviceRefused if it is not
         reached after eight legs; if the interlock is open or in fault then, it just ends.
         """
         changes = 0
@@ -369,9 +369,9 @@ class AcutrolTable(LineTable):
         await self._tell(f":demand:rate {number},{rate_dps:.6f}")
 
     async def _enter(self, axis: str, mode: str) -> None:
-        """Change the mode of an axis to ``mode`` and wait for it; nothing is sent if it is in that mode.
+        """Change the mode of an axis to ``mode``, "rate" or "position", and wait for it.
 
-        Rate mode begins with zero rate. DeviceRefused if the mode is not entered within 1 s.
+        Nothing is sent if it is in that mode. Rate mode begins with zero rate. DeviceRefused if the mode is not entered within 1 s.
         """
         if await self._mode(axis) == mode:
             return

@@ -146,7 +146,7 @@ class AerosmithTable(LineTable):
 
         A move is at its target at rest within 0.02 deg of it, 0.3 s after its start at the earliest; a jog within 0.1
         deg/s of its rate; without either, so is a rate below 0.1 deg/s. Enabled means that this driver switched the
-        servo on and no fault bit is set: other bits are unknown.
+        servo on and no fault bit is set: other bits are unknown. An open interlock is never reported.
         """
         word = int(_value(await self._ask("STA", INTEGER), INTEGER))
         state = await self.read(axis)

@@ -348,9 +348,9 @@ class ModbusLine:
         return await client.write_registers(request.address, list(request.words), device_id=unit)
 
     def _checked(self, request: Request, reply: Any) -> tuple[int, ...]:
-        """Return the words of a reply, none for a write; DeviceRefused for an exception reply.
+        """Return the words of the reply to a read; those for a write are of no use.
 
-        _Busy if the device asks to try again.
+        DeviceRefused for an exception reply; _Busy, which is a DeviceRefused, if the device asks to try again.
         """
         if reply.isError():
             code = int(getattr(reply, "exception_code", 0))

@@ -103,7 +103,7 @@ class RtuGate:
     """
 
     def __init__(self, counts: LinkCounts) -> None:
-        """Start by letting nothing through; dropped frames are counted in ``counts``."""
+        """Let no frame through until ``expect`` has named one; dropped frames are counted in ``counts``."""
         self._counts = counts
         self._armed: tuple[bytes, ...] = ()
         self._expected: tuple[bytes, ...] = ()
@@ -223,7 +223,10 @@ class TcpGate:
 
 
 def _tcp_heads(request: bytes) -> Iterator[bytes]:
-    """Yield the possible beginnings of the reply to a request: that of the answer, then those of refusals."""
+    """Yield the possible beginnings of the reply to a request on TCP: that of the answer, then of one or two refusals.
+
+    That of a write's answer is all of it.
+    """
     function = request[7]
     if function == READ:
         count = 2 * int.from_bytes(request[10:12])

@@ -225,7 +225,7 @@ class ModbusTable(Table):
         """Start a move to an angle from home (profile position mode), and wait until the drive has taken the set point.
 
         ``rate_rps`` is a speed, of which the sign is ignored. A drive that does not show it in time counts as having
-        taken it.
+        taken it. DeviceRefused for a value that does not fit its register.
         """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
@@ -271,7 +271,7 @@ class ModbusTable(Table):
     async def status(self, axis: str) -> AxisStatus:
         """Read the state of an axis and describe a fault in words.
 
-        Quick stop active is no fault but a caution. The interlock is read where the profile knows its inputs, except in
+        Enabled is Operation enabled alone; whether the target is reached is the drive's word (bit 10). Quick stop active is no fault but a caution. The interlock is read where the profile knows its inputs, except in
         operation. BadReply for a statusword that is no CiA 402 state.
         """
         word = int(await self._read(axis, "statusword"))
@@ -308,9 +308,10 @@ class ModbusTable(Table):
         return await self._bring_to_rest(partial(self._tell, command), self.read)
 
     async def _tell(self, command: str, axis: str) -> None:
-        """Send a command once, without waiting for other replies; reopen a line that failed.
+        """Send a command once, ahead of replies that others wait for, and await its echo; reopen a line that failed.
 
         The profile's values are written first after a new connection, but their failure does not keep the command back.
+        LinkLost if the line cannot be reopened; raises as ``ModbusLine.tell`` for the command itself.
         """
         line = self._lines[axis]
         if not line.sound:
@@ -408,7 +409,7 @@ class ModbusTable(Table):
         return self._profile[name].decode(reply.words, self._axes[axis].counts_per_turn)
 
     def _reading(self, axis: str, name: str) -> Request:
-        """Return the request that reads the profile's register ``name`` of an axis."""
+        """Return the request that reads the profile's register ``name`` of an axis; KeyError if there is none."""
         register = self._profile[name]
         return Request(
             axis=axis,
