@@ -42,9 +42,9 @@ class Companion:
     def matched(self, before: int, lead: list[int], after: int) -> tuple[Flags, list[bytes]]:
         """Return which leading frames (n,) have a companion, and the data of these companions, as many as are marked.
 
-        Nothing is dropped: see ``forget``. ``lead`` are the places of the leading frames in the order of arrival; ``before`` and ``after`` those of the
-        leading frames before the first and after the last. Of several candidates the one nearest in time is taken: the
-        first after its frame if the companion follows, else the last before it.
+        Nothing is dropped: see ``forget``. ``lead`` are the places of the leading frames in the order of arrival;
+        ``before`` and ``after`` those of the leading frames before the first and after the last. Of several candidates
+        the one nearest in time is taken: the first after its frame if the companion follows, else the last before it.
         """
         own = np.array([piece.order for piece in self._pieces], dtype=np.int64)
         edges = np.array([*lead, after] if self.follows else [before, *lead], dtype=np.int64)

@@ -251,9 +251,9 @@ def _decided_by_motion(
 ) -> tuple[tuple[Floats, ExternalRows], str]:
     """Return the instants of samples (n,) and the rows of a reference: those of ``tried`` that the motion supports.
 
-    ``rate`` (n, m) are the samples. ``tried`` has two: the times as they were fitted in ``log``, and the alternative,
-    since stamps that scatter are either of samples or of arrivals. Also returns a sentence on it, "" if the fitted
-    times on the grid are kept.
+    ``log`` must have alternative instants (``time.other_s``). ``rate`` (n, m) are the samples. ``tried`` has two: the
+    times as they were fitted in ``log``, and the alternative, since stamps that scatter are either of samples or of
+    arrivals. Also returns a sentence on it, "" if the fitted times on the grid are kept.
     """
     instants = [(_ns(each_s), external_reference(reference, _ns(told_s), values)) for each_s, (told_s, values) in tried]
     other = by_motion(mapping.gyro.array, rate, instants) == 1
@@ -276,8 +276,9 @@ def _samples_settled(
 ) -> tuple[tuple[Floats, ExternalRows], str]:
     """Return the instants of samples with scattering stamps, and the rows of the reference, as the motion shows.
 
-    ``gyros`` and ``known`` are instants and rows of both; the instants are as fitted or the alternative. A reference in
-    the same file has the same stamps and changes with them. Also returns a sentence on it, "" if nothing changes.
+    ``gyros`` and ``known`` are instants and rows of both; the instants are as fitted or the alternative, which ``log``
+    must have (``time.other_s``). A reference in the same file has the same stamps and changes with them. Also returns a
+    sentence on it, "" if the fitted times are those of the grid and stay.
     """
     time, (t_s, rate), (told_s, values) = log.time, gyros, known
     other_s = time.other_s
@@ -360,10 +361,11 @@ def _missing_notes(t_s: Floats) -> list[str]:
 
 
 def _interpolated(log: Log, gyro_rows: NDArray[np.intp], values: Floats | None, quantity: str) -> Floats | None:
-    """Return values (rows, m) at the gyro's rows ``gyro_rows``, with blanks interpolated in time; None for None.
+    """Return values (n, m) at the gyro's rows ``gyro_rows`` (n,), with blanks interpolated in time; None for None.
 
-    If one of these rows is blank, all are interpolated between complete rows, and beyond them the nearest holds.
-    ``quantity`` names the values. RecordingError if no row is complete.
+    ``values`` (rows, m) are those of all rows of the file, ``gyro_rows`` are numbers among the kept ones. If one of
+    these rows is blank, all are interpolated between complete rows, and beyond them the nearest holds. ``quantity``
+    names the values. RecordingError if no row is complete.
     """
     if values is None:
         return None

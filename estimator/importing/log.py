@@ -50,11 +50,11 @@ def wanted(timing: Timing, columns: Sequence[str], labels: tuple[str, ...] = ())
 
 
 def timed(path: Path, table: Table, timing: Timing, file_format: FileFormat, values: Floats) -> Log:
-    """Return a file with the instants of the part to read, as ``file_format`` limits it; rows are numbered as in the
-    file.
+    """Return a file with the instants of the part to read, as ``file_format`` limits it.
 
-    ``values`` (rows, c) are all measured columns, by which repeated rows are found. RecordingError, naming the file, if
-    fewer than two rows are left or stamps are invalid.
+    ``values`` (rows, c) are all measured columns of ``table``. By them repeated rows are found, which are left out;
+    rows stay numbered as in ``table``. RecordingError, naming the file, if fewer than two rows are left, or stamps are
+    invalid or fewer than eight.
     """
     position = np.arange(len(values)) if table.position is None else table.position
     part = file_format

@@ -167,9 +167,9 @@ def _matlab(path: Path) -> _File:
 def _text(path: Path) -> _File:
     """Return the content of a text file, with guesses of delimiter, decimal mark and heading.
 
-    At most 20 MB and ``_MOST_ROWS`` lines are looked at; lines of another width are skipped. Columns with numbers in a
-    fifth of the rows at most are kept as texts, unless they are blank. RecordingError if it is no text or has fewer
-    than three lines.
+    At most 20 MB and ``_MOST_ROWS`` lines are looked at; those of another width than the middle one are skipped.
+    Columns with numbers in a fifth of the rows at most are kept as texts, unless they are blank. RecordingError if it
+    is no text or has fewer than three lines.
     """
     raw = read_bytes(path, RecordingError, name=path.name)[:20_000_000]
     text = raw.decode("utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", errors="replace")
@@ -231,7 +231,7 @@ def _number(field: str) -> float:
 
 
 def _time(file: _File) -> tuple[str | None, list[str], float]:
-    """Return the name of the time column, the keys of the table [time], and the usual step in s (0 if unknown).
+    """Return the name of the time column, the lines of the table [time] as text, and the usual step in s (0: unknown).
 
     Columns named like a time come first, then any that rise evenly or hold times of day; texts have no step. Without
     such a column it is a variable with the rate; without one (None) a placeholder. The guess is noted in the file.
@@ -336,8 +336,9 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
-    """Return the unit of rates in these columns and how it was found: by name, or guessed by size; large numbers are
-    counts.
+    """Return the unit of rates in these columns, and how it was found in words: by name, or guessed by size.
+
+    Large numbers are counts, whose unit is "raw".
     """
     if unit := _said(names[0], _RATES):
         return unit, "by its name"
@@ -348,10 +349,9 @@ def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
 
 
 def _gyro(file: _File, names: Sequence[str] | None) -> str:
-    """Return the table [gyro] for the columns ``names``, with placeholders for None, and for the size of a count if no
-    unit is found.
+    """Return the text of the table [gyro] for the columns ``names``, with placeholders for None.
 
-    The guess is noted in the file.
+    There is one for the size of a count, too, if no unit is found. The guess is noted in the file.
     """
     if names is None:
         return '[gyro]\ncolumns = ["?", "?", "?"]\nunit = "deg/s"'
@@ -366,10 +366,9 @@ def _gyro(file: _File, names: Sequence[str] | None) -> str:
 
 
 def _accelerometer(file: _File, names: Sequence[str]) -> str:
-    """Return the table [accelerometer] for the columns ``names``, its unit by name or size, else counts with a
-    placeholder for their size.
+    """Return the text of the table [accelerometer] for the columns ``names``, its unit by name or size.
 
-    The guess is noted in the file.
+    Otherwise they are counts, with a placeholder for their size. The guess is noted in the file.
     """
     unit = _said(names[0], _FORCES) or _force_unit(float(np.nanmedian(np.linalg.norm(_values(file, names), axis=1))))
     file.guesses.update(dict.fromkeys(names, f"accelerometer ({unit or 'counts'})"))
@@ -404,7 +403,7 @@ def _rests(file: _File, names: Sequence[str] | None, step_s: float) -> int:
 
 
 def _reference(file: _File, triples: Mapping[str, tuple[str, list[str]]], rests: int, felt: bool) -> str:
-    """Return the table [reference]: an attitude, rate or angle if columns look like one, else gravity or rests.
+    """Return the text of the table [reference]: attitude, rate or angle if columns look like it, else gravity or rest.
 
     The first kind in this order that is found is taken. ``triples`` are groups of three columns by their names;
     ``rests`` is how often the gyro rests: gravity needs nine rests, and an accelerometer (``felt``). The guess is noted

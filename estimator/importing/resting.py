@@ -108,9 +108,9 @@ def rest_rates(rests: Sequence[Rest], rows: int, site: Site | None) -> Floats:
 
 
 def earth_note(mapping: Mapping, rests: Sequence[Rest]) -> list[str]:
-    """Return a note on the part of Earth rate that is unknown at these rests: of gyros that are not upright.
+    """Return a single note on the part of Earth rate that is unknown at these rests: of gyros that are not upright.
 
-    Empty if it is small, or all rests have a stated north.
+    The list is empty if it is small, or no rest has an up without a north. The mapping must have a site.
     """
     assert mapping.site is not None
     p = mapping.gyro.array.p

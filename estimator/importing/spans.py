@@ -146,9 +146,10 @@ def _labelled(labels: tuple[str, ...]) -> list[tuple[str, int, int]]:
 
 
 def _listed(path: Path, table: Table) -> list[tuple[str, int, int]]:
-    """Return (name, start, end) in rows from the section list at ``path``, which stands beside the file of ``table``.
+    """Return (name, first, stop) from the section list at ``path``, which stands beside the file of ``table``.
 
-    RecordingError if it is missing or invalid, or if the file has broken lines, by which rows would be off.
+    They are rows of the file, counted from 0; the row ``stop`` is the first after the section. RecordingError if it is
+    missing or invalid, or if the file has broken lines, by which rows would be off.
     """
     if table.skipped_lines:
         raise RecordingError(sentence("importing.broken_and_listed", file=table.name, lines=table.skipped_lines))

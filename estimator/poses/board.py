@@ -159,7 +159,9 @@ def _crossing(vectors: Floats) -> Floats:
 
 
 def _arms(motion: _Motion, start: Floats) -> tuple[Floats, float]:
-    """Return the arms (m, 3) in m from the first IMU, and the rms misfit in m/s2, iterated from ``start`` (m, 3).
+    """Return the arms (m, 3) in m of all m IMUs from the first, whose own is 0, and the rms misfit in m/s2.
+
+    They are iterated from ``start`` (m, 3).
 
     In turn the common acceleration is fitted for given arms, and the arms for given acceleration, until no arm changes
     by 0.1 um, at most 200 times.

@@ -141,10 +141,10 @@ def gyro_vector(matrix: Floats, bias_rps: Floats) -> Floats:
 def parameters_of(
     names: Sequence[str], values: Floats, covariance: Floats, shown: Flags, factor: float
 ) -> tuple[Parameter, ...]:
-    """Return parameters with standard deviations and 95 % half widths; without numbers where they are not ``shown``.
+    """Return n parameters with standard deviations and 95 % half widths, in the order of the n ``names``.
 
-    ``values`` (n,) and ``covariance`` (n, n) are those of the n ``names``; a half width is ``factor`` standard
-    deviations.
+    ``values`` (n,) and ``covariance`` (n, n) are theirs; a half width is ``factor`` standard deviations. Value,
+    standard deviation and half width are None, all three, where a parameter is not ``shown`` (n,).
     """
     found = []
     for at, name in enumerate(names):

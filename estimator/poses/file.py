@@ -80,8 +80,9 @@ def read_pose_session(path: Path) -> PoseSession:
 
 
 def is_pose_session(path: Path) -> bool:
-    """Return whether a file is an HDF5 file of this format; false for one that is missing, damaged or cannot be
-    read.
+    """Return whether a file is an HDF5 file of this format; false for one that is missing, damaged or cannot be read.
+
+    Any HDF5 file is first read as a whole in another process (``probe``), which takes time for a long recording.
     """
     try:
         if not path.is_file() or not h5py.is_hdf5(path):
@@ -167,7 +168,7 @@ def _accelerometer(group: Any) -> PoseCalibration:
 def _rests(group: Any) -> tuple[PoseRest, ...]:
     """Return the rests in the columns of a group, numbered from 1; ValueError if they differ in length.
 
-    NaN stands for what is not known.
+    What is NaN in the file is None in a rest: times of given means, and the sigma of a refused rest.
     """
     columns = {key: np.asarray(group[key][:], dtype=np.float64).tolist() for key in group if key not in _REST_TEXTS}
     files, reasons = _texts(group, "file"), _texts(group, "refused")

@@ -156,9 +156,10 @@ def known_gyros(rests: Sequence[KnownRest], turns: Sequence[KnownTurn], accuracy
 
 
 def _solved(rows: Floats, outputs: Floats, start: Floats, sizes: Floats) -> tuple[Floats, Floats, Flags, int, float]:
-    """Return the solution of whitened rows (n, p), its covariance, which are shown (p,), freedom, and mean square.
+    """Return the solution (p,) of whitened rows (n, p), covariance (p, p), which are shown, freedom, and mean square.
 
-    Where the rows do not show all, plausible ``sizes`` (p,) about ``start`` (p,) stand in for the rest.
+    ``outputs`` (n,) are whitened, too; the mean square is that of the residuals in sigmas, 1 without freedom. Where the
+    rows do not show all, plausible ``sizes`` (p,) about ``start`` (p,) stand in for the rest.
     """
     information = rows.T @ rows
     prior = np.diag(1 / sizes**2)

@@ -80,8 +80,9 @@ class _Noise:
 def calibrate_turns(sessions: Sequence[GyroSamples], accelerometer: PoseCalibration) -> GyroTurnCalibration:
     """Return scales, biases and axes of three gyros from the turns between rests that the accelerometers used.
 
-    Turns that miss gravity by more than chance are refused one by one, as long as six are left. RecordingError if gyros
-    and accelerometers contradict each other, FewTurns if too few turns can be used or a gyro is dead.
+    The sessions must be named as the files of these rests; KeyError if one is missing. Turns that miss gravity by more
+    than chance are refused one by one, as long as six are left. RecordingError if gyros and accelerometers contradict
+    each other, FewTurns if too few turns can be used or a gyro is dead.
     """
     sessions = [_alive(samples) for samples in sessions]
     rests = accelerometer.used
@@ -310,9 +311,10 @@ def _fit(directions: _Directions, turns: Sequence[_Turn]) -> tuple[Floats, Float
 
 
 def _linear(inverse: Floats, directions: _Directions, turns: Sequence[_Turn]) -> tuple[Floats, Floats, Floats]:
-    """Return the misfits (2 n,) of turns, their derivatives (2 n, 9) by C, and the root of their covariance.
+    """Return the misfits (2 n,) of turns in rad, their derivatives (2 n, 9) by C, and the root of their covariance.
 
-    Neighbouring turns share a direction, and all turns share the errors of the accelerometers.
+    That is the lower Cholesky factor (2 n, 2 n). Neighbouring turns share a direction, and all turns share the errors
+    of the accelerometers.
     """
     count = len(turns)
     left, slopes = np.zeros(2 * count), np.zeros((2 * count, 9))

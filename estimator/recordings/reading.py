@@ -66,10 +66,10 @@ def read_recording(path: Path | str, *, trusted: bool = False) -> Recording:
 
 
 def read_attributes(path: Path | str) -> dict[str, Any]:
-    """Return the attributes of a recording, also of one that is too incomplete to be read; it is completed from its
-    journal.
+    """Return the attributes of a recording, also of one that is too incomplete to be read.
 
-    RecordingError for a file that is not of the format.
+    It is first completed from its journal, and read as a whole in another process (``probe``). RecordingError for a
+    file that is not of the format.
     """
     path = Path(path)
     recover(path)
@@ -80,7 +80,7 @@ def read_attributes(path: Path | str) -> dict[str, Any]:
 def file_format(path: Path | str) -> str:
     """Return the attribute "format" of an HDF5 file: ``FORMAT`` for a recording, "" if it has none.
 
-    RecordingError for a file that cannot be read.
+    The whole file is first read in another process (``probe``). RecordingError for one that cannot be read.
     """
     path = Path(path)
     probe(path)
@@ -184,8 +184,8 @@ def _read_series(path: Path, file: Any) -> dict[str, Series]:
 def _read_source(path: Path, name: str, group: Any) -> ImuData:
     """Return the samples of one source in its group; columns are cut to the shortest.
 
-    Impossible rates become NaN and count as lost. A nominal rate that is not above 0 counts as not stated, a missing
-    prior is the usual one. RecordingError if columns are missing or do not fit the axes.
+    Impossible rates become NaN and count as lost. A nominal rate that is not above 0 counts as not stated (None); a
+    missing prior is ``Prior()``, missing noise None. RecordingError if columns are missing or do not fit the axes.
     """
     where = f"{path}: /imu/{name}"
     present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]
@@ -358,8 +358,8 @@ def _read_reference(path: Path, file: Any) -> Reference:
 def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:
     """Return mean rates (k, axes) derived from the angles (k, axes), and the length in ns of the means, about 50 ms.
 
-    A single axis gets slopes at instants instead, and length 0: it is compared by its angles, and its rates only show
-    the motion.
+    Each is the mean before its instant, over less at the beginning; k is at least 2. A single axis gets slopes at
+    instants instead, and length 0: it is compared by its angles, and its rates only show the motion.
     """
     if angle_rad.shape[1] == 1:
         return slopes_of(t_ns, np.unwrap(angle_rad, axis=0)), 0
@@ -389,8 +389,8 @@ def slopes_of(t_ns: Stamps, angle_rad: Floats) -> Floats:
 def _column(where: str, group: Any, key: str) -> NDArray[Any]:
     """Return the column ``key`` of a group with the type and dimensions of ``LAYOUT``.
 
-    RecordingError, which begins with ``where``, if it is missing, not numeric or of other dimensions; a single
-    dimension will do for two.
+    RecordingError, which begins with ``where``, if it is missing, not numeric or of other dimensions. One
+    dimension (n,) where two are due becomes (n, 1).
     """
     dimensions = LAYOUT[key]["dimensions"]
     if key not in group:

@@ -56,7 +56,10 @@ class Mounting:
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """The attributes of a source in a file that state it: axes other than the table's, and ``sd_rad`` if stated."""
+        """The attributes of a source in a file that state it: ``mounting`` (3, 3) and ``mounting_sd_rad``.
+
+        The first is left out if the axes are the table's, the second if it is not finite.
+        """
         found: dict[str, Any] = {}
         if not np.array_equal(self.axes, np.eye(3)):
             found["mounting"] = self.axes
@@ -118,10 +121,10 @@ class ImuData:
         return np.asarray(self.accel_mps2 @ np.linalg.pinv(self.accel_axes).T)
 
     def to_frame(self) -> Any:
-        """Return a pandas.DataFrame over time in s: rates by gyro in rad/s, temperature, specific force.
+        """Return a pandas.DataFrame of the samples over ``t_s``: rates in rad/s, each named as its gyro, and more.
 
-        The latter two only where the source has them; specific force is along the body axes. ImportError without
-        pandas.
+        That is ``temperature_c``, and ``accel_x_mps2`` to ``accel_z_mps2`` along the body axes, where the source has
+        them. ImportError without pandas.
         """
         from pandas import DataFrame, Index
 

@@ -117,7 +117,10 @@ def _fold_in_journal(path: Path, journal: Path, file: BinaryIO) -> str:
 
 
 def _is_readable(path: Path) -> bool:
-    """Return whether a file can be read completely, tried in a separate process, and has the format of a recording."""
+    """Return whether a file can be read completely, tried in a separate process, and has the format of a recording.
+
+    False for a missing file, and for one that takes that process too long.
+    """
     try:
         probe(path)
         with h5py.File(path, "r") as file:

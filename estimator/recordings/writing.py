@@ -301,9 +301,10 @@ class RecordingWriter:
                 self.complete = not self._pending and not self._dropped
 
     def finish(self, *, synced: bool = True) -> None:
-        """Remove the journal of a complete file, after syncing that unless ``synced`` is false.
+        """Close the journal, and remove it if the file is ``complete``, after syncing that unless ``synced`` is false.
 
-        The journal of an incomplete file stays, and so does that of one that cannot be synced: RecordingError. Nothing
+        To be called after ``close``. The journal of an incomplete file stays, which is no error. That of a file that
+        cannot be synced stays, too, with RecordingError; the file then no longer counts as complete. Nothing happens
         without a journal.
         """
         if self.journal is not None:

@@ -69,7 +69,8 @@ def command(group: int, destination: int, values: bytes, source: int) -> Frame:
 def settings(rate_hz: float) -> list[tuple[int, bytes]]:
     """Return (parameter group, values) of the two set requests for rates and accelerations at ``rate_hz``.
 
-    The first sets the divider of the internal rate, the second which packets are sent. Nothing is saved: a power cycle undoes it. ValueError for a rate that the device does not have.
+    The first sets the divider of the internal rate, the second which packets are sent. Nothing is saved: a power cycle
+    undoes it. ValueError for a rate that the device does not have.
     """
     if rate_hz not in RATES_HZ:
         rates = ", ".join(f"{rate:g}" for rate in RATES_HZ)

@@ -263,8 +263,9 @@ class AcutrolTable(LineTable):
     async def _travel(self, axis: str, task: _Task, leg: str) -> None:
         """Move on, leg by leg, until the target is reached or the axis has a new task.
 
-        ``leg`` is the kind of leg in progress, as ``_begin_leg`` returns it. After two changes of position, 0.02 deg from the target is near enough. DeviceRefused if it is not
-        reached after eight legs; if the interlock is open or in fault then, it just ends.
+        ``leg`` is the kind of leg in progress, as ``_begin_leg`` returns it. After two changes of position, 0.02 deg
+        from the target is near enough. DeviceRefused if it is not reached after eight legs; if the interlock is open or
+        in fault then, it just ends.
         """
         changes = 0
         for _ in range(_MOST_LEGS):
@@ -371,7 +372,8 @@ class AcutrolTable(LineTable):
     async def _enter(self, axis: str, mode: str) -> None:
         """Change the mode of an axis to ``mode``, "rate" or "position", and wait for it.
 
-        Nothing is sent if it is in that mode. Rate mode begins with zero rate. DeviceRefused if the mode is not entered within 1 s.
+        Nothing is sent if it is in that mode. Rate mode begins with zero rate. DeviceRefused if the mode is not entered
+        within 1 s.
         """
         if await self._mode(axis) == mode:
             return

@@ -271,8 +271,9 @@ class ModbusTable(Table):
     async def status(self, axis: str) -> AxisStatus:
         """Read the state of an axis and describe a fault in words.
 
-        Enabled is Operation enabled alone; whether the target is reached is the drive's word (bit 10). Quick stop active is no fault but a caution. The interlock is read where the profile knows its inputs, except in
-        operation. BadReply for a statusword that is no CiA 402 state.
+        Enabled is Operation enabled alone; whether the target is reached is the drive's word (bit 10). Quick stop
+        active is no fault but a caution. The interlock is read where the profile knows its inputs, except in operation.
+        BadReply for a statusword that is no CiA 402 state.
         """
         word = int(await self._read(axis, "statusword"))
         state = cia402.state_of(word)

@@ -18,6 +18,9 @@ from estimator.poses.turns import GyroSamples, calibrate_turns
 def board_session(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseSession:
     """Return the calibration of every IMU of a board, and where they are, from one file.
 
+    ``accelerometer`` and ``gyro`` of the result are those of the first IMU, ``board`` has all. The mapping must have a
+    timing.
+
     RecordingError for more than one file, one that cannot be used, gross errors, and rests or turns too few to show all
     parameters of an IMU.
     """

@@ -204,9 +204,10 @@ def _known(reference: StrictTable, timing: Timing | None, *, scale_known: bool) 
 
 
 def _gravity(section: StrictTable, latitude_rad: float | None) -> Gravity:
-    """Return gravity as stated, that of the site, or the standard one with a wide uncertainty.
+    """Return gravity as stated, that of the site, or the standard one if neither is known.
 
-    The section's error if it is stated beside a site, or has an uncertainty or height without either.
+    Its uncertainty is ``gravity_ppm``, by default ``UNMEASURED_GRAVITY``; ``UNKNOWN_GRAVITY`` for the standard one. The
+    section's error if it is stated beside a site, or has an uncertainty or height without either.
     """
     if section.has("gravity_mps2"):
         if latitude_rad is not None:

@@ -36,8 +36,8 @@ def stated_columns(section: StrictTable, quantity: str, key: str = "columns", *,
 
     The conversion is a unit of ``quantity``, or the size of a count; unless ``count_needed``, a count without a size is
     one ``count_unit``, by default one degree per second. ``offset`` in the table is the value for zero, in the unit of
-    the column. The width is 1 for the key "column", else 3. The section's error for a unit or count that is missing or
-    wrong.
+    the column. The width is 1 for the key "column", else 3, however many names there are. The section's error for a
+    unit or count that is missing or wrong.
     """
     units, names, offset = UNITS[quantity], section.strings(key), section.number("offset", 0.0)
     unit = section.string("unit", one_of=(*units, "raw"))

@@ -100,7 +100,8 @@ class BodyRates:
     ) -> None:
         """Add readings (k,), (k, gimbals), (k, gimbals), later than all before, with their half widths (k,).
 
-        Rates are means over the ``rate_window_ns`` before their instants. RecordingError if times do not increase.
+        None stands for half widths of 0. Rates are means over the ``rate_window_ns`` before their instants.
+        RecordingError if times do not increase.
         """
         half_ns = np.zeros(len(t_ns)) if half_width_ns is None else half_width_ns
         for first in range(0, len(t_ns), _AT_ONCE):

@@ -54,7 +54,7 @@ def integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Sta
     gimbals).
 
     ``t_ns`` (k,) and ``rate_rps`` (k, gimbals) are the new rows. The previous row is the last of ``before``, whose
-    integral goes on, or the first of these rows if that is empty.
+    integral goes on, or the first of these rows if that is empty; the first step and integral are then 0.
     """
     last_ns, last_rps, start = t_ns[:1], rate_rps[:1], np.zeros((1, rate_rps.shape[1]))
     if len(before):

@@ -101,10 +101,10 @@ def ends(changes: Flags) -> tuple[int, bool]:
 
 
 def piece_of(t_s: Floats, angle_rad: Floats) -> int:
-    """Return after how many of these readings (n,), in s and rad, to cut a change of rate: within its longest straight
-    part.
+    """Return after how many readings to cut a change of rate: within its longest straight part.
 
-    Only the second half is searched, so that pieces do not become ever shorter; at least 1.
+    ``t_s`` and ``angle_rad`` (n,) are its readings, ``t_s`` from 0 on. Only the second half is searched, so that pieces
+    do not become ever shorter; at least 1.
     """
     found = list(corners_of(*between_readings(t_s, angle_rad), MOST_CORNERS))
     corners = np.array(found[-1][0] if found else [0, len(t_s) - 1])
@@ -212,11 +212,11 @@ def with_corners(
 
 
 def corners_of(t_s: Floats, rate_rps: Floats, most: int) -> Iterator[tuple[list[int], float]]:
-    """Yield ever larger selections of readings (n,) that straight lines connect, and the largest deviation of the
-    others.
+    """Yield ever larger selections of readings (n,) that straight lines connect, and the largest deviation of others.
 
-    The first and the last reading are always selected; each time the one that deviates most is added. It ends at
-    ``most`` or half of the readings, or when nothing deviates.
+    A selection is a list of indices in order, from three on; the deviation is in rad/s. The first and the last reading
+    are always selected; each time the one that deviates most is added. It ends at ``most`` or half of the readings, or
+    when nothing deviates.
     """
     corners = [0, len(t_s) - 1]
     while len(corners) < min(most, len(t_s) // 2):
@@ -399,10 +399,12 @@ def _weighed_deviations(p: Floats, readings: Readings, sd: Floats, tail: float) 
 
 
 def _start_parameters(t_s: Floats, angle_rad: Floats, rate_rps: Floats, first: int, last: int) -> Floats | None:
-    """Return start parameters (corners, rates, angle, scale) suggested by readings ``first`` to ``last``.
+    """Return start parameters (2 k + 2,) of one change of rate, suggested by readings ``first`` to ``last``.
 
-    ``angle_rad`` and ``rate_rps`` are those of one axis at all instants ``t_s``. A change that goes up and down again
-    has three corners, any other two. None if the rate does not change, or its peak is at an end.
+    They are k instants of corners in s, the rates at these, the angle at the first of them, and the scale 1. A change
+    that goes up and down again has three corners, any other two. ``angle_rad`` and ``rate_rps`` (n,) are those of one
+    axis at all instants ``t_s``; those up to ``first`` and from ``last`` on must belong to the steady rates, of which
+    the medians are taken. None if the rate does not change, or its peak is at an end.
     """
     before, after = float(np.median(rate_rps[: first + 1])), float(np.median(rate_rps[last:]))
     inner = rate_rps[first : last + 1]
