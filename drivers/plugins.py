@@ -111,7 +111,7 @@ def _changed_by_others(path: Path) -> str:
 
 
 def _on_the_way(path: Path) -> Iterator[Path]:
-    """Yield every folder and symbolic link that leads to a file, then the file.
+    """Yield every folder and symbolic link that leads to a file, from the root on, then the file.
 
     OSError if one is missing, or if links loop or are too many.
     """

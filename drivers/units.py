@@ -30,7 +30,7 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 def unit_size(text: str) -> tuple[float, Powers]:
     """Return the factor to SI of a unit such as "deg/s2", and its powers of radian, second, kelvin and g.
 
-    Lengths have no power, and g is a unit of its own with the factor 1: neither is converted to m/s2. ValueError if it
+    Lengths have no power, and g is a unit of its own with the factor 1, not 9.8 m/s2. ValueError if it
     is empty, not a unit, or has more than 100 characters.
     """
     if len(text) > _LONGEST:  # brackets within brackets

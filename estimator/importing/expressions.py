@@ -17,6 +17,8 @@ json.dump(found and found.groupdict(), sys.stdout)
 def groups_of(pattern: re.Pattern[str], text: str) -> dict[str, str | None] | None:
     """Return the named groups of the first match of ``pattern`` in ``text``; None if there is none.
 
+    A group that took no part in the match is None, too.
+
     The search runs in a child process, as backtracking may take very long: TimeoutError after ``SEARCH_LIMIT_S``.
     """
     asked = json.dumps([pattern.pattern, pattern.flags, text])

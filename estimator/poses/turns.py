@@ -341,7 +341,7 @@ def _linear(inverse: Floats, directions: _Directions, turns: Sequence[_Turn]) ->
 
 
 def _worst(inverse: Floats, directions: _Directions, turns: Sequence[_Turn], excess: float) -> tuple[int, float] | None:
-    """Return the number of the turn that misses most, and by how many sigmas; None if that may be chance.
+    """Return the index of the turn that misses most, and by how many sigmas; None if that may be chance.
 
     ``inverse`` (3, 3) turns outputs into rates. A sigma is that of most turns, at most by the root of ``excess`` below
     the expected one.
