@@ -58,7 +58,7 @@ class Acquisition:
         """Describe table and devices under test in the file of ``writer``; no device is opened.
 
         ``model`` is for the live estimate; ``time_scale`` is how fast the loop's clock runs; ``reopening`` opens lost
-        devices anew. ``on_event(t_s, kind, text)`` gets every event.
+        devices anew. ``on_event(t_s, kind, text)`` gets every event, at ``t_s`` seconds of the loop's clock.
         """
         self._imus, self._others, self._bench = opened.imus, opened.others, opened.bench
         self._devices = tuple(opened.devices.values())
@@ -213,7 +213,7 @@ class Acquisition:
         """Record a block of samples of the source ``name`` and pass it to the live estimate and the monitor.
 
         The first with accelerometers adds their axes to the recording, and, if the bench has a data sheet for them and
-        their number is right, a live filter. An error of the monitor is only reported.
+        their number is right, a live filter; they are recorded in any case. An error of the monitor is only reported.
         """
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.task_guard.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
@@ -231,7 +231,7 @@ class Acquisition:
         self.live.add(name, block)
 
     def take_row(self, row: TableRow) -> None:
-        """Record a row of table readings and pass it to live estimate and monitor; note the widest half width.
+        """Record a row of table readings and pass it to live estimate and monitor; note the largest ``half_width_ns``.
 
         A new rate window is recorded first.
         """
@@ -281,10 +281,10 @@ class Acquisition:
             await asyncio.sleep(0.05)
 
     async def watch_silence(self) -> None:
-        """Check until cancelled that samples keep coming; LinkLost if a source is silent for 1 s on an open link.
+        """Check until cancelled that samples keep coming; LinkLost if a source is silent for 1 s.
 
-        A source counts from its first sample on. Nothing is concluded after a sleep that took too long, as arrived
-        samples may still be unread.
+        A source counts from its first sample on, and not while its link is reopened. The limit stretches with a clock
+        that runs fast. Nothing is concluded after a sleep that took too long, as samples may still be unread.
         """
         limit_s = _SILENCE_S * self._scale
         while True:

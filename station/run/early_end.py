@@ -132,8 +132,9 @@ class EarlyEnd:
     def _live_forces(self) -> list[str]:
         """Return the names of the sigmas of accelerometers that the live filters have not reached.
 
-        Empty if none is limited. Devices without a data sheet for accelerometers do not count. An accelerometer that is
-        excluded, or a device whose accelerometers have sent nothing, stays in the list.
+        They are such as "ax b", after the device if there are several. Empty if none is limited. Devices without a data
+        sheet for accelerometers do not count. An accelerometer that is excluded, by its name alone, or a device whose
+        accelerometers have sent nothing ("accelerometers of NAME") stays in the list.
         """
         if not _limits_forces(self._bench):
             return []
@@ -152,9 +153,10 @@ class EarlyEnd:
         return awaited
 
     def _shares(self) -> Callable[[], _Shares]:
-        """Return a function that computes all sigmas as shares of their limits, from a copy of the present data.
+        """Copy the present data; return a function that computes from the copy the sigmas as shares of their limits.
 
-        It may run in a thread. Accelerometers are left out if none is limited.
+        It may run in a thread. Its result has the largest share of all gyros, and those of accelerometers by name; no
+        accelerometer if none is limited.
         """
         devices = []
         for imu in self._imus:
@@ -175,7 +177,7 @@ class EarlyEnd:
         )
 
     def _force_data(self, name: str, config: ImuConfig) -> ImuData:
-        """Return the samples of the accelerometers of a source, with NaN as the rates of its gyros."""
+        """Return the accelerometers' samples of a source since ``keep_blocks``, with NaN as the rates of its gyros."""
         t_ns, outputs = self._live.kept_forces(name)
         source = self._live.sources[name]
         return ImuData(

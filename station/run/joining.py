@@ -32,6 +32,7 @@ def _check(recordings: Sequence[Recording]) -> None:
     """Raise UsageError for recordings of devices with different serial numbers, or of a run that did not end.
 
     Such a run was aborted, in fault or driven by hand. Recordings without a serial number or an outcome are accepted.
+    There must be at least one.
     """
     first = recordings[0]
     serial = ""

@@ -37,7 +37,7 @@ class ManualSequencer(Sequencer):
     def __init__(
         self, table: Turntable, on_step: Callable[[str, int, int], None], tell: Callable[[str], None], time_scale: float
     ) -> None:
-        """Prepare to drive ``table`` by hand; ``time_scale`` is how fast the loop's clock runs.
+        """Prepare to drive ``table``, at home, by hand on the running loop; ``time_scale`` is how fast its clock runs.
 
         ``on_step(label, start_ns, end_ns)`` is called after each motion, ``tell`` for each event.
         """
@@ -62,10 +62,11 @@ class ManualSequencer(Sequencer):
         return math.nan if abs(angle_rad) == _ENDLESS_RAD else angle_rad
 
     def obey(self, action: str, given: Mapping[str, Any]) -> None:
-        """Accept a command, which replaces the last; ``given`` are its values by name, in rad, rad/s and rad/s2.
+        """Accept a command, which replaces the last; a jog like the present one extends that.
 
-        Commands are hold, end, jog, go and home; "home" without an axis drives all, one after the other. UsageError if
-        it is invalid or comes after "end", ScriptError beyond a limit.
+        It is "hold" or "end", which take no values, "jog", "go" or "home". ``given`` has "axis", "rate_rps", for go
+        "angle_rad", and perhaps "acceleration_rps2"; "home" without an axis drives all, one after the other. UsageError
+        if it is invalid or comes after "end", ScriptError beyond a limit.
         """
         numbers = [value for key, value in given.items() if key != "axis"]
         sound = all(type(value) in (int, float) and (_LEAST <= abs(value) < _MOST or value == 0) for value in numbers)
@@ -140,7 +141,8 @@ class ManualSequencer(Sequencer):
     async def _obey(self, step: Move) -> None:
         """Carry out a move while it is wanted, then halt the axis unless it arrived.
 
-        A move without an end is a jog. A refusal by the table is only reported. The motion is recorded as a step.
+        A move without an end is a jog. A refusal by the table is only reported, but DeviceRefused raised if the axis
+        does not come to rest. The motion is recorded as a step.
         """
         loop, axis = asyncio.get_running_loop(), step.axis
         from_rad = self._target_rad[axis]

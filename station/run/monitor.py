@@ -66,7 +66,7 @@ class TaskGuard:
     def attempt(self, task: str, work: Callable[[], T], otherwise: T) -> T:
         """Return ``work()``, or ``otherwise`` if it raises; ``task`` is its name for the operator.
 
-        MemoryError is raised: the recording would be the next to fail.
+        The exception goes to ``failed``. MemoryError is raised: the recording would be the next to fail.
         """
         try:
             return work()
@@ -96,7 +96,7 @@ class Monitor:
         """Start without data; progress comes from the sequencer once it is set.
 
         Work of the monitor that fails does not end the run: it goes through ``task_guard``, which notes the failure.
-        Times are stretched by ``time_scale``, how fast the loop's clock runs.
+        The time of rates, and that after which a source is silent, are stretched by ``time_scale``, the clock's speed.
         """
         self._task_guard = task_guard
         self._counts: dict[str, SourceCounts] = {}
@@ -162,9 +162,9 @@ class Monitor:
         return self._task_guard.attempt("counts of links", self._open.link_counts, nothing)
 
     def newest(self, quantity: str) -> Mapping[str, float]:
-        """Return the newest value of a quantity by source; only "temperature_c" is known, others give nothing.
+        """Return the newest value of a quantity by source; only "temperature_c" is known, others give an empty mapping.
 
-        Sources without a finite temperature are left out.
+        It is that of the last sample, however old. Sources without a sample, or with NaN in the last, are left out.
         """
         values = {}
         if quantity == "temperature_c":
@@ -179,9 +179,9 @@ class Monitor:
         return self.sequencer.label if self.sequencer is not None and self.phase is Phase.RUNNING else ""
 
     def brief(self) -> Snapshot:
-        """Return a snapshot for a progress bar: phase, step, times, counts of samples and the mean NIS.
+        """Return a snapshot for a progress bar: phase, step, times, pause, samples, lost samples and the mean NIS.
 
-        Before the script begins nothing is done and all that is planned is left.
+        All else in it is empty or NaN. Before the script begins nothing is done and all that is planned is left.
         """
         counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
@@ -270,7 +270,7 @@ class Monitor:
         return "ok" if heard else "silent"
 
     def _rate_hz(self, name: str, link: str, now_s: float) -> float:
-        """Return the samples per second of a source since its oldest mark.
+        """Return the samples per second of a source since its oldest mark, of two seconds ago, or less at first.
 
         ``link`` is the state of its link. The time ends with the newest sample if that is "ok", else at ``now_s``, so
         that the rate of a silent source falls. NaN while there is no mark, or no time has passed.

@@ -33,7 +33,7 @@ class Sequencer:
         tell: Callable[[str], None] = lambda text: None,
         newest: Callable[[str], Mapping[str, float]] = lambda quantity: {},
     ) -> None:
-        """Prepare to carry out ``script``; the table is at home.
+        """Prepare to carry out ``script`` on the running loop; all axes of the table must stand at home (0 rad).
 
         ``on_step(label, start_ns, end_ns)`` is called after each step, part and pause, in ns of the loop's clock.
         ``tell`` gets a sentence for each event. ``newest(quantity)`` returns the newest value of a quantity by source.

@@ -105,7 +105,9 @@ class Session:
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
         on_event: Callable[[float, EventKind, str], None] | None = None,
     ) -> None:
-        """Create the recording ``path``; no device is opened. RecordingError if it exists or cannot be created.
+        """Create the recording ``path`` and its journal; no device is opened. Call it on the running loop.
+
+        RecordingError if the recording exists or cannot be created.
 
         ``on_event(t_s, kind, text)`` is called for every event, at ``t_s`` seconds of the loop's clock. ``on_progress``
         is called with every row of table readings; its argument is a function that returns a brief snapshot. An
@@ -365,10 +367,10 @@ class Session:
         return self._monitor.sequencer is not None and self._monitor.sequencer.driven_axis is not None
 
     async def _rest(self) -> None:
-        """Make all devices safe, the table first; does nothing if the table was never connected.
+        """Set the phase to STOPPING and make all devices safe, the table first; none if the table was never connected.
 
         Troubles become part of the verdict's reason; without a verdict the first makes it FAULT. An exception of the
-        table's driver is raised. Sets the phase.
+        table's driver is raised; devices after it are then left for another call.
         """
         self._monitor.phase = Phase.STOPPING
         if not self._connected:

@@ -212,9 +212,10 @@ class _Way:
     """What the readings of one time window show; there are at least two, oldest first."""
 
     def __init__(self, readings: tuple[AxisState, ...], resolution_rad: float) -> None:
-        """Compute times, angle turned, length of the path, and rates of the readings.
+        """Compute first and last time, angle turned between them, length of the path, and reported rates.
 
-        Rates that are means count only if they began after the first reading. ``resolution_rad`` is the encoder's.
+        ``rates_rps`` may be shorter than ``readings``, even empty: means that began before the first reading are left
+        out. ``resolution_rad`` is the encoder's.
         """
         first, last = readings[0], readings[-1]
         self._resolution_rad = resolution_rad

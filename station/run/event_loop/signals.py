@@ -12,7 +12,7 @@ _HANG_UP = getattr(signal, "SIGHUP", None)
 
 @contextmanager
 def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | None = None) -> Iterator[None]:
-    r"""Call ``stop(name)`` on the event loop for Ctrl-C, SIGTERM, SIGHUP, Ctrl-\ and Ctrl-Z, within this context.
+    r"""Call ``stop(name)`` on the running loop for Ctrl-C, SIGTERM, SIGHUP, Ctrl-\ and Ctrl-Z, within this context.
 
     For SIGHUP call ``hang_up()`` instead if given; output to the terminal that is gone is then discarded. Ctrl-Z
     counts, as a frozen process would leave the table turning. Nothing is installed outside the main thread. The

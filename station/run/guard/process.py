@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def _read(size: int) -> bytes:
-    """Return ``size`` bytes of the pipe; exit if the station is gone before."""
+    """Wait for ``size`` bytes of the pipe and return them; end this process if the station is gone before."""
     data = b""
     while len(data) < size:
         more = os.read(0, size - len(data))
@@ -86,6 +86,7 @@ async def _stand_guard(order: Order) -> None:
     """Build the drivers, report that the guard is ready, and make the devices safe if the station dies while armed.
 
     A driver that cannot be built is reported on stderr and left out; without any it ends at once, and is never ready.
+    Only after a death it holds the station's locks, until all is done, and writes the log of the order.
     """
     devices: list[_Device] = []
     for packed in order.devices:
@@ -137,7 +138,7 @@ async def _station_dies(pid: int) -> bool:
 def _process(pid: int) -> int:
     """Return a descriptor that becomes readable when the station, process ``pid``, ends.
 
-    -1 if the system has none, or if the station has ended already.
+    -1 if the system has none, or if the station is not the parent of this process, as after its end.
     """
     if not hasattr(os, "pidfd_open"):
         return -1
@@ -152,7 +153,7 @@ def _process(pid: int) -> int:
 
 
 def _heard_so_far() -> tuple[bytes, bool]:
-    """Return all that the station has sent so far, and whether the pipe is closed; does not wait."""
+    """Return what the station has sent since the last call, and whether the pipe is closed; does not wait."""
     words = b""
     with suppress(BlockingIOError):
         while data := os.read(0, 64):
