@@ -57,8 +57,8 @@ def _columns_within(motion: PlannedMotion, edges: NDArray[np.int64]) -> str:
 def _bars(size: Floats, largest: float, blocks: str, at_rest: str = "") -> str:
     """Return a bar for each size (columns,), as a character of ``blocks``, relative to ``largest``.
 
-    Columns with a size of 0 or less get the characters of ``at_rest``, one each, or blanks. The least positive size is
-    drawn.
+    ``blocks`` begins with that of an empty bar, which is never drawn: the least positive size gets the next one.
+    Columns with a size of 0 or less get the characters of ``at_rest``, one each, or blanks if it is "".
     """
     steps = len(blocks) - 1
     share = np.clip(size / largest, 0, 1) if largest else np.zeros_like(size)

@@ -314,7 +314,8 @@ def _foreseen_conditions(script: Script, past: Sequence[Past], gimbals: Sequence
 def _temperature(last: Conditions, t_s: Floats) -> Floats | None:
     """Return the predicted temperature (n,) in deg C at ``t_s`` (n,): the exponential that fits best, continued.
 
-    Its time constant is between one minute and one hour. None if no temperature was recorded.
+    ``last`` are the conditions of the last recording, with the same clock. The time constant is between one minute and
+    one hour. None if no temperature was recorded.
     """
     if last.temperature_c is None:
         return None

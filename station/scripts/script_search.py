@@ -332,7 +332,7 @@ def _shortest(shape: Shape, needs: Needs) -> _Solved | None:
 def _best_within(shape: Shape, needs: Needs, total_s: float, criterion: str, *, keep: bool = False) -> _Solved | None:
     """Return the variables for the least criterion in ``total_s`` under white noise.
 
-    ``keep``: with all sigmas kept. None if the shape does not fit into the time or the sigmas cannot be kept.
+    ``keep``: with all sigmas within their requirements. None if the shape does not fit into the time or they cannot be.
     """
     slack = total_s - _time_s(shape, shape.least)
     if slack < 0:

@@ -31,8 +31,8 @@ class Attitude:
 def attitudes_of(gimbals: Sequence[str], limits: Mapping[str, AxisLimits]) -> list[Attitude]:
     """Return an attitude for each direction of gravity in the body that ``gimbals`` reach in steps of 45 deg.
 
-    Of those with the same direction the one that moves the fewest axes, by the least angles, is taken. Axes stay within
-    their travel, by ``limits``.
+    Of those with the same direction the one that moves the fewest axes, by the least angles, is taken; the list is in
+    the order of these, from home. Axes stay within their travel, by ``limits``.
     """
     choices = [_angles_within(limits[axis]) for axis in gimbals]
     grid = sorted(

@@ -128,9 +128,9 @@ def _by_models(
 ) -> Floats:
     """Return the times (p,) of the least ``merit`` that steps from model to model find, from ``start`` (p,).
 
-    ``function`` gives the logarithms to be modelled at some times, ``merit(times, logarithms)`` is to be lowered, and
-    ``step(model, reach)`` gives the logarithms of the next times. A step that does not gain is made again, shorter; the
-    search ends after six models or when one gains little.
+    ``function(times)`` gives the logarithms (r,) of sigmas to be modelled, ``merit(times, logarithms)`` is to be
+    lowered, and ``step(model, reach)`` gives the logarithms (p,) of the next times. A step that does not gain is made
+    again, shorter; the search ends after six models or when one gains little.
     """
     v = start
     logs = function(v)
@@ -154,7 +154,7 @@ def _by_models(
 
 
 def _one_by_one(v: Floats, merit: Callable[[Floats], float], times: Times) -> Floats:
-    """Return the times of the least ``merit`` that changes of one time alone find, in steps that become shorter.
+    """Return the times (p,) of least ``merit(times)`` that changes of one time alone find, from ``v`` (p,).
 
     No time gets below its least. Sigmas of places go up and down a little with the angles at which ramps begin, which
     no model has.
@@ -204,7 +204,7 @@ def _shortest(model: _Model, times: Times, reach: float) -> Floats:
 def _lowest(model: _Model, times: Times, log_total: float, reach: float) -> Floats:
     """Return the variables of the lowest sigma of a model in a total time, given as its logarithm ``log_total``.
 
-    They are searched within ``reach`` of those about which the model was made.
+    Variables are logarithms of times (p,), within ``reach`` of those about which the model was made.
     """
     from scipy.optimize import minimize  # as above
 

@@ -110,7 +110,7 @@ class WholeImuSearch:
         return structure.script(structure.least * (1 + max(share, 0.0)), "longest")
 
     def best(self) -> FoundScript | None:
-        """Return the best script; None if none up to LONGEST_S reaches every sigma, or none fits into the time.
+        """Return the best script; None if none up to LONGEST_S reaches every sigma, or none fits into ``total_s``.
 
         It has more turns and poses where it takes them to reach the sigmas at all, and as long as that gains.
         """
