@@ -124,7 +124,7 @@ def _frame(table: Table) -> tuple[Frames, list[Any]]:
 
 
 def _line(table: Table, source: CanChannel) -> tuple[Lines, list[Any], CanChannel]:
-    """Return the framing and the signals of a table [line], and the source with its wrap as a stored integer.
+    """Return the framing and the signals of a table [line], and the source with its wrap in units of the stored time.
 
     Columns named "-" are skipped. The table's error if a name occurs twice, the separator is empty or the check
     unknown.

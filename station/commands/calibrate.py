@@ -124,7 +124,7 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
 def recordings_of(arguments: Sequence[str]) -> list[str]:
     """Return the recordings named by ``arguments``, each once; a folder stands for every .h5 in it and below, sorted.
 
-    UsageError for a folder without any.
+    UsageError for a folder without any. Other names are not checked.
     """
     found: dict[Path, str] = {}  # two processes must not write into one file
     for argument in arguments:

@@ -208,7 +208,7 @@ async def _late(opened: OpenBench) -> str:
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
-    """Call the table's ``how`` while all axes turn, at ``at_s`` (loop time) or later; say if one turns after it."""
+    """Stop axes by the table's method ``how`` at ``at_s`` (loop time) or later; return that one still turns, or ""."""
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)
@@ -327,8 +327,8 @@ def complaint(
 ) -> str:
     """Run one conformance suite on a device's twin in virtual time; return what is wrong in words, "" if it passes.
 
-    ``plugins`` have its record, ``description`` is the file of a described IMU, by default one of the package. More
-    than ``within_s`` of real time, an exception of the driver, missing methods and tasks left over are failures.
+    ``plugins`` have its record, ``description`` is a described IMU's file, else one of the package. Failures include
+    ``within_s`` of real time, exceptions of the driver, missing methods, tasks left. In the main thread only (SIGALRM).
     """
     faults, judge = suites_of(spec)[suite]
     bench = _bench_of(spec, faults, plugins, description)

@@ -25,7 +25,7 @@ _STDOUT = "-"
 
 
 def command_export(arguments: argparse.Namespace) -> int:
-    """Write a calibration in one format, to a file or stdout; return the exit code.
+    """Write a calibration in one format, to a file or stdout; return 0, or with --all its exit code.
 
     With other options print the list of formats, or write a series of recordings or all formats. What the format does
     not hold goes to stderr. UsageError if the recording cannot be read or the file not be written.
@@ -63,7 +63,7 @@ def command_export(arguments: argparse.Namespace) -> int:
 
 
 def _export_series(arguments: argparse.Namespace) -> int:
-    """Write the series of a device as CSV, times in s, units in the headings; return 0.
+    """Write the series of a device as CSV to --output or stdout, times in s, units in the headings; return 0.
 
     UsageError if the recording has none of this name, or for options that do not go together.
     """

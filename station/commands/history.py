@@ -107,7 +107,8 @@ def _print_gauge(folder: Path, series: Sequence[Sequence[Entry]], *, as_json: bo
 def calibration_valid_on(serial: str, day: date, folder: Path | str = "recordings") -> Calibration:
     """Return the calibration of a device that was valid on ``day``, from the recordings of a folder.
 
-    UsageError with the reason if there was none. The rule is that of ``archive.validity``.
+    UsageError with the reason if there was none. The rule is that of ``archive.validity``. Call it outside an event
+    loop.
     """
     found = validity_on(asyncio.run(_listed(Path(folder), True)), serial, day)
     if found.reason or found.entry is None:

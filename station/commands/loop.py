@@ -144,7 +144,7 @@ def _why_ended(turn: Round, left_s: float) -> str:
 
 
 def _first_scripts(bench: Bench, budget_s: float) -> list[tuple[str, Script]]:
-    """Return the three runs of every loop, each with its purpose.
+    """Return purpose and script of the three runs of every loop: calibration, exploration, verification.
 
     UsageError if the budget is too short, ScriptError if the table cannot drive them.
     """
@@ -179,7 +179,8 @@ def _report(loop: Loop, as_json: bool) -> int:
 def _end(loop: Loop | None, code: int, reason: str, as_json: bool) -> int:
     """Print on stderr why there is no report and where the recordings are; return ``code``.
 
-    ``as_json`` prints an empty result on stdout as well. ``loop`` is None if it never began.
+    ``as_json`` prints on stdout, as well, a result without a verdict, with the reason and the runs so far. ``loop`` is
+    None if it never began.
     """
     kept = loop is not None and loop.folder.is_dir()
     where = f"; the recordings are in {loop.folder}" if loop and kept else ""

@@ -20,7 +20,7 @@ _SEEDS_OF_BASELINES = 20
 
 
 def command_study(arguments: argparse.Namespace) -> int:
-    """Run a study and print its results; 1 if some of its seeds failed, each of which is named on stderr.
+    """Run a study and print its results; return 1 if some of its seeds failed, which are named on stderr, else 0.
 
     Raises UsageError for a file that cannot be written, before the long work, or if there is no result.
     """
@@ -67,7 +67,7 @@ def _paper(arguments: argparse.Namespace) -> paper.PaperStudy:
 
 
 def _baselines(arguments: argparse.Namespace) -> baselines.BaselineStudy:
-    """Run the comparison with other methods and print it; UsageError for options of the other study."""
+    """Run the comparison with other methods, print and return it; UsageError for options of the other study."""
     if arguments.plot or arguments.output:
         raise UsageError("--plot and --output belong to `station study paper`")
     study = baselines.run_study(arguments.seeds or _SEEDS_OF_BASELINES, **_where(arguments))

@@ -19,7 +19,10 @@ _DEFECT = 1
 
 
 def command_ui(arguments: argparse.Namespace) -> int:
-    """Show the screen until the operator leaves it, or serve it with --web; UsageError if no terminal can show it."""
+    """Show the screen until the operator leaves it, or serve it with --web; return 0, or the code of the server.
+
+    UsageError if no terminal can show it.
+    """
     if "TEXTUAL_DRIVER" not in os.environ:  # otherwise another program draws: the server of --web
         if getattr(arguments, "web", None) is not None:
             from station.screen.web import serve
@@ -61,7 +64,10 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _keep(text: str) -> str:
-    """Store the text of a defect in a file; return a sentence on where it is and what to do."""
+    """Store the text of a defect in a file; return the end of a sentence, on where it is, and what to do.
+
+    It begins with ", with PATH", left out if the file cannot be written.
+    """
     from station.atomic_write import write_whole
     from station.screen.memory import state_folder
 

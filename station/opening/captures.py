@@ -97,7 +97,7 @@ def _stim300(section: StrictTable, _folder: Path) -> Capture:
 
 
 def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[str]) -> _Decoded:
-    """Return ``gyro`` (rad/s), ``accelerometer`` (m/s2), ``temperature`` (degC) and ``time`` (s), and notes.
+    """Return ``gyro`` (n, 3) in rad/s, ``accelerometer`` (n, 3) in m/s2, ``temperature`` (degC), ``time`` (s); notes.
 
     The time is that of the counter. ``code`` is the gyro output, None if not stated, ``range_g`` that of the
     accelerometers; a configuration sent by the device takes precedence. Datagrams without the first of ``names`` are
@@ -254,7 +254,7 @@ def _read_galil(sample_s: float, raw: bytes, _names: Sequence[str]) -> _Decoded:
 
 
 def _galil_record(header: bytes) -> tuple[np.dtype[Any] | None, str]:
-    """Return the layout of records with this header and the controller family; None and "" if no family has it."""
+    """Return the layout of records with this header (4 bytes) and the controller family; None and "" if none has it."""
     axes = [axis for bit, axis in enumerate("ABCDEFGH") if header[1] >> bit & 1]
     planes = (header[0] & 3).bit_count()
     for family, (general, plane, block) in packaged_toml("drivers", "layouts.toml")["galil"].items():

@@ -123,7 +123,7 @@ async def check_bench(
 
 @contextmanager
 def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
-    """Turn errors of a device within this context into entries of ``check.wrong``.
+    """Turn any exception within this context, time-outs included, into entries of ``check.wrong``.
 
     ``look_at`` is what to check for one that does not answer or whose answers make no sense.
     """
@@ -309,8 +309,8 @@ async def _blocks_received(source: ImuSource, duration_s: float) -> dict[str, li
 def _source_check(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
     """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate.
 
-    The temperature is the last one, NaN without any. ``time_scale`` is how fast the loop's clock runs: the jitter is in
-    real time.
+    There must be at least one sample. The temperature is the last one, NaN without any. ``time_scale`` is how fast the
+    loop's clock runs: the jitter is in real time.
     """
     t_ns = np.concatenate([block.t_ns for block in blocks])
     arrival_ns = np.concatenate([block.arrival_ns for block in blocks])

@@ -41,7 +41,7 @@ def planned_forces(script: Script, bench: Bench) -> list[PlannedForces]:
 
 
 def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedForces | None:
-    """Return what a script shows of one device; None if it is too short to show anything."""
+    """Return what a script shows of one device, which states a sheet; None if it is too short to show anything."""
     recording = simulated_run(script, bench, imu)
     forces, notes = calibrate_forces(recording)
     if not forces or not forces[0].accelerometers:

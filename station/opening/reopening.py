@@ -21,7 +21,8 @@ class Reopening:
     def __init__(self, moving: Callable[[], bool], tell: Callable[[str], None], time_scale: float) -> None:
         """Start without identities; ``moving`` returns whether the table turns or is about to.
 
-        ``tell`` notes an event in the recording; times are stretched by ``time_scale``, how fast the loop's clock runs.
+        ``tell`` notes an event in the recording; the time for all tries and those between them are stretched by
+        ``time_scale``, how fast the loop's clock runs.
         """
         self._moving, self._tell, self._scale = moving, tell, time_scale
         self._known: dict[str, Identity] = {}
@@ -59,7 +60,7 @@ class Reopening:
         return now
 
     async def restore(self, name: str, lost: Device, error: LinkLost) -> None:
-        """Reopen a lost link and check that the same device is there; note that in the recording.
+        """Reopen a lost link and check that the same device is there; note that in the recording and in ``times``.
 
         Raises ``error`` at once if the table moves; LinkLost if it has to move before the link is open, or after a
         minute; DeviceFault if another device answers.
@@ -94,7 +95,8 @@ class Reopening:
     async def ask_at_end(self, name: str, device: Device) -> None:
         """Reopen a closed device, check its identity, and close it; a link that fails is only noted.
 
-        Nothing is done for a device that has no identity. DeviceFault if it is another device.
+        Nothing is done for a device that has no identity. It must have been identified before (KeyError). DeviceFault
+        if it is another device; it is closed in any case.
         """
         if self._known[name] == Identity():
             return

@@ -69,12 +69,12 @@ def simulate(
 ) -> Recording:
     """Return the recording of a script on a simulated table with these devices, one source each.
 
-    Steps of open duration take their least. The same ``seed`` gives the same noise. Without a ``site`` the table stands
-    at 45 deg latitude; without ``earth_turns`` there is no Earth rate in the data. ``hidden`` has the errors of devices
-    and table; the recording does not mention them. Stamps begin at 0, when the bench clock, which temperature and
-    hidden effects follow, is at ``started_s``: runs of one session follow each other. ``mounts`` replaces the mounting
-    and truth of each device; ``forces`` states the accelerometers of those that have some. ValueError without
-    devices; HiddenError if the hidden effects do not fit a device.
+    No limits of a table are checked. Steps of open duration take their least. The same ``seed`` gives the same noise.
+    Without a ``site`` the table stands at 45 deg latitude; without ``earth_turns`` there is no Earth rate in the data.
+    ``hidden`` has the errors of devices and table; the recording does not mention them. Stamps begin at 0, when the
+    bench clock, which temperature and hidden effects follow, is at ``started_s``: runs of one session follow each
+    other. ``mounts`` replaces the mounting and truth of each device; ``forces`` states the accelerometers of those that
+    have some. ValueError without devices; HiddenError if the hidden effects do not fit a device.
     """
     moves = [
         TimedMove(start_s, turn.axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)

@@ -249,9 +249,10 @@ class Twins:
         return self._wires[device]
 
     def _read_wires(self, table: Table) -> dict[str, str]:
-        """Return by device the kind of link to serve it on, from the table [twin.wires] or by default.
+        """Return by device, the table included, the kind of link to serve it on, from [twin.wires] or by default.
 
-        A device on CAN may have any link that begins with "can:". The table's error for an unknown kind.
+        Defaults are "tcp" for the table, "udp_multicast" or "serial" for an IMU, the first of its kind for others. One
+        on CAN may have any link that begins with "can:". The table's error for an unknown kind.
         """
         wires = {"table": table.string("table", "tcp", one_of=("tcp", "serial"))}
         for imu in self.bench.imus:
@@ -268,7 +269,8 @@ class Twins:
     def _up(self, imu: ImuConfig) -> Callable[[Floats], Floats]:
         """Return a function of instants (n,) in s: the direction up (n, 3) along the first three gyros of a device.
 
-        If the bench states errors of its accelerometers, their outputs in standard g take its place.
+        If the bench states errors of its accelerometers, their outputs in standard g take its place. Each call must
+        then ask for the sampling instants that follow those of the last one; without errors it is only faster that way.
         """
         mounting = self._mounts[imu.name]
         p = mounting.p[:3]
@@ -281,7 +283,8 @@ class Twins:
     def _felt(self, imu: ImuConfig, truth: AccelerometerTruth, gravity_mps2: float) -> Callable[[Floats], Floats]:
         """Return a function of instants (n,) in s: the outputs (n, 3), in standard g, of a device's accelerometers.
 
-        They lie along its first three gyros. ``gravity_mps2`` is the gravity that acts on them.
+        They lie along its first three gyros. ``gravity_mps2`` is the gravity that acts on them. Each call must ask for
+        the sampling instants that follow those of the last one.
         """
         mounting = self._mounts[imu.name]
         twin = self.bench.twin

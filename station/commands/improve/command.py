@@ -123,7 +123,10 @@ def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
 
 
 def _accelerometer_object(device: str, name: str, required: Floats, reached: Floats) -> dict[str, Any]:
-    """Return the required and reached sigmas (7,) of states and place of an accelerometer."""
+    """Return the required and reached sigmas (7,) of states and place of an accelerometer for --json.
+
+    Those of states are by key, those of the place lists of three, in m; None for an infinite one (not required).
+    """
     return {
         "device": device,
         "name": name,

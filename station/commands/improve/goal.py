@@ -67,7 +67,8 @@ def wanted_of(arguments: argparse.Namespace, bench: Bench, script: Script) -> Wa
 def _bench_sds(bench: Bench) -> tuple[Floats, Floats]:
     """Return the sigmas that the bench requires: of gyros (n, 4), and of accelerometers with their places (m, 7).
 
-    Places as certain as the lever arm has to be make it at least as certain: it is their mean.
+    They are infinite where none is required. Places as certain as the lever arm has to be make it at least as certain:
+    it is their mean.
     """
     gyros = np.tile(bench.limits.sds, (sum(len(imu.array) for imu in used_imus(bench)), 1))
     limits = bench.limits.forces

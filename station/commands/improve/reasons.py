@@ -100,7 +100,8 @@ def no_gain_text(search: WholeImuSearch, found: FoundScript, script: Script, ben
 def _names(gyros: Flags, accelerometers: Flags, bench: Bench) -> str:
     """Return the names of the flagged states of gyros (n, 4), and states and places of accelerometers (m, 7).
 
-    Of each kind only the first few are named, then how many more there are.
+    They are separated by commas; "" if none is flagged. Of each kind only the first few are named, then how many more
+    there are.
     """
     gyro_names = [name for imu in used_imus(bench) for name in imu.array.names]
     rows = accelerometer_rows(bench)

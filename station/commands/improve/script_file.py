@@ -9,7 +9,10 @@ from station.views.improved import Improved
 
 
 def script_text(script: Script, origin: str) -> str:
-    """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment."""
+    """Return a script as TOML that ``station.scripts.script.load_script`` reads; ``origin`` is its first comment.
+
+    ``origin`` may have several lines, without ``#``. NotImplementedError for a step of a kind that cannot be written.
+    """
     steps = []
     for timed in script.timeline():
         lines = (*timed.step.written(timed.span.least_s), f"label = {_quoted(timed.step.label)}")
@@ -24,7 +27,10 @@ def _quoted(text: str) -> str:
 
 
 def origin_of(improved: Improved, bench: Bench) -> str:
-    """Return the comment at the top of the script: for which bench and goal it was found, its length and its rests."""
+    """Return the comment at the top of the script: for which bench and goal it was found, its length and its rests.
+
+    It has three lines, without ``#``.
+    """
     wanted = improved.wanted
     aim = "shortest time to its sigmas"
     if wanted.total_s is not None:
