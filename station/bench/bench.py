@@ -54,7 +54,10 @@ class ForceLimits:
         return any(map(math.isfinite, (self.k, self.b_mps2, self.sigma_rad, *self.sds, self.sd_arm_m)))
 
     def of_state(self, number: int) -> tuple[float, str, float, str]:
-        """Return the largest size of a state as a number and as written, and the largest sigma likewise."""
+        """Return the largest size of a state as a number and as written, and the largest sigma likewise.
+
+        Without a limit the text is "". ``number`` is that of the state.
+        """
         key = ("k", "b_mps2", "sigma_rad", "sigma_rad")[number]
         size, sd = getattr(self, key), getattr(self, f"sd_{key}")
         return size, self.written.get(key, ""), sd, self.written.get(f"sd_{key}", "")
@@ -191,7 +194,10 @@ def default_bench_text() -> str:
 
 
 def load_bench(path: Path | None) -> Bench:
-    """Return the bench of a file, or the built-in one; BenchError with line and key if it is invalid."""
+    """Return the bench of a file, or the built-in one for None; BenchError with line and key if it is invalid.
+
+    Plug-ins in a folder ``plugins`` beside the file are imported, too.
+    """
     if path is None:
         return read_bench(default_bench_text(), "built-in bench")
     text = read_text(path, BenchError, "a bench file. Give a .toml file")

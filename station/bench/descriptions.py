@@ -170,7 +170,7 @@ def _check(table: Table) -> tuple[Check, dict[str, Any]]:
 
 
 def _phrase(table: Table) -> tuple[bytes, float]:
-    """Return the bytes to send, and the pause after them."""
+    """Return the bytes to send, and the pause after them in s; the table's error without one of text and hex."""
     own = table.read_all("description.phrase", hex=_known)
     if (own["text"] is None) == (own["hex"] is None):
         raise table.fail(None, "needs either text or hex")
@@ -178,21 +178,24 @@ def _phrase(table: Table) -> tuple[bytes, float]:
 
 
 def _place(table: Table, at: int | None, bits: int, size: int) -> int:
-    """Return the first byte of a number, from the beginning of its frame."""
+    """Return the first byte of a number of ``bits``, from the beginning of its frame of ``size`` bytes.
+
+    ``at`` below 0 counts from the end. The table's error if it is None or the number does not fit there.
+    """
     if at is None or not -size <= at < size or at % size + bits // 8 > size:
         raise table.fail("at", f"{at}: give a place where {bits // 8} bytes fit in a frame of {size}")
     return at % size
 
 
 def _bytes(text: str, _: Path) -> tuple[int | None, ...]:
-    """Return bytes written in hex, None for ??."""
+    """Return bytes written in hex, None for ??; ValueError for other text."""
     if not _HEX.fullmatch(text):
         raise ValueError(f'{text!r}: write bytes in hex, as "5A A5"')
     return tuple(None if pair == "??" else int(pair, 16) for pair in re.findall(r"\S\S", text))
 
 
 def _known(text: str, folder: Path) -> bytes:
-    """Return bytes written in hex."""
+    """Return bytes written in hex; ValueError for other text and for ??."""
     if None in (data := _bytes(text, folder)):
         raise ValueError(f"{text!r}: ?? for any byte can only be in sync")
     return bytes(byte for byte in data if byte is not None)

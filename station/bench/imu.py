@@ -94,7 +94,7 @@ class ImuConfig:
         return self.spec.temperature
 
     def gyros_of(self, sources: Sequence[str]) -> dict[str, list[int]]:
-        """Return which of the array's gyros each source of the device carries."""
+        """Return by source the numbers, from 0, of the array's gyros that it carries, ``sources`` being in order."""
         counts = [len(channel.rates) for channel in self.can.channels] if self.can is not None else [len(self.array)]
         starts = np.cumsum([0, *counts])
         return {name: list(range(starts[i], starts[i + 1])) for i, name in enumerate(sources)}

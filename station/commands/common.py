@@ -23,7 +23,11 @@ from station.scripts.script import Script
 
 
 def clock(bench: Bench, scale: float | None) -> asyncio.Runner:
-    """Return the runner for loops of one clock; virtual or paced time if every link leads to a twin in memory."""
+    """Return the runner for loops of one clock, ``scale`` times as fast as the wall's, None for the default.
+
+    That is virtual time if every link leads to a twin in memory, else 1. With other links all objects so far are
+    exempted from garbage collection.
+    """
     if not needs_only_memory(bench):
         gc.freeze()  # present objects stay: examining them again would delay the loop by 0.2 s
         return asyncio.Runner(loop_factory=partial(ScaledLoop, scale or 1.0))

@@ -86,7 +86,7 @@ def _export_series(arguments: argparse.Namespace) -> int:
 
 
 def csv_of(series: Series) -> str:
-    """Return a series as CSV, numbers with all of their digits."""
+    """Return a series as CSV, numbers with all of their digits; headings are ``t_s``, then "COLUMN (UNIT)" of each."""
     heading = ["t_s", *(f"{column} ({unit})" for column, unit in series.units.items())]
     rows = zip(series.t_ns.tolist(), *(values.tolist() for values in series.columns.values()), strict=True)
     lines = [",".join([f"{t_ns * 1e-9:.9f}", *map(repr, values)]) for t_ns, *values in rows]

@@ -195,7 +195,7 @@ def _suspects(investigation: Investigation) -> tuple[str, ...]:
 
 
 def _evidence_of(investigation: Investigation) -> float:
-    """Return half the squares, in sigmas, by which the errors on a verification run exceed their noise."""
+    """Return half the squares, in sigmas, by which the errors on a verification run exceed their noise; at least 0."""
     views = [view for view in investigation.views if view.verification and view.noise_rps > 0]
     squares = sum(float(np.sum((view.after_rps / view.noise_rps) ** 2 - 1)) for view in views)
     return max(0.5 * squares, 0.0)

@@ -35,7 +35,10 @@ from station.scripts.script import Script, check, load_script, paper_script
 
 
 def command_run(arguments: argparse.Namespace) -> int:
-    """Run a script on a bench, or drive by hand; a hosted run continues if its terminal is closed."""
+    """Run a script on a bench, or drive by hand; return the exit code.
+
+    With --host, which --manual sets in ``arguments``, the run continues if its terminal is closed.
+    """
     arguments.host |= arguments.manual
     if arguments.host:
         ignore_hang_up()

@@ -41,7 +41,7 @@ def read_faults(of_table: Any, truths: Table, bench: Bench) -> BenchFaults:
 
 
 def turn_knobs(knobs: NodeFaults, faults: DeviceFaults, on: bool) -> None:
-    """Turn the knobs of a device."""
+    """Set the knobs of a device to its stated faults, or, unless ``on``, to none."""
     knobs.stuck = {faults.stuck - 1} if on and faults.stuck else set()
     knobs.saturated = {faults.saturated - 1} if on and faults.saturated else set()
     shares = (faults.dropped, faults.doubled, faults.huge)

@@ -84,7 +84,7 @@ class Serving:
         return {"link": await self._tcp("table", self._twins.table_device, port), **settings}
 
     async def imu(self, imu: ImuConfig) -> dict[str, Any]:
-        """Serve a device under test."""
+        """Serve a device under test; return its announcement: link, protocol and rate."""
         make = partial(self._twins.imu_device, imu)
         link = await (self._bus(imu) if imu.spec.on_can else self._bytes(imu.name, make))
         return {"link": link, "protocol": imu.protocol, "rate_hz": imu.rate_hz}

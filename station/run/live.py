@@ -173,7 +173,7 @@ class LiveEstimate:
 
     @property
     def nis_mean(self) -> float:
-        """Mean normalised innovation squared per degree of freedom over all sources."""
+        """Mean normalised innovation squared per degree of freedom over all sources; NaN without innovations."""
         sums = [source.nis() for source in self.sources.values()]
         dof = sum(own for _, own in sums)
         return sum(total for total, _ in sums) / dof if dof else float("nan")
@@ -185,7 +185,7 @@ class LiveEstimate:
 
     @property
     def nis_recent(self) -> float:
-        """Mean normalised innovation squared per degree of freedom over the last half minute of all sources."""
+        """Mean normalised innovation squared per degree of freedom over the last half minute; NaN if there is none."""
         recent = self._recent()
         dof = sum(one.dof for one in recent)
         return sum(one.nis for one in recent) / dof if dof else float("nan")

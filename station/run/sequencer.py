@@ -119,7 +119,7 @@ class Sequencer:
             await self._resumed.wait()
 
     def setpoint_rps(self, axis: str, now_s: float) -> float:
-        """Return the rate that is asked of an axis at an instant of the loop's clock."""
+        """Return the rate, with its sign, planned for an axis at ``now_s`` (loop time); 0 if it is not driven."""
         turn = self._turn
         if turn is None or turn.axis != axis:
             return 0.0
@@ -157,7 +157,7 @@ class Sequencer:
         return done_s + under_way.elapsed_s(since_s), total([under_way.remaining(since_s), *later])
 
     def where(self, now_s: float) -> str:
-        """Return in words how far the script is."""
+        """Return in words how far the script is at ``now_s`` (loop time): "after 12.0 s of 360.0 s, in step LABEL"."""
         done_s, left = self.times(now_s)
         planned = seconds_between(done_s + left.least_s, done_s + left.most_s, ".1f")
         return f"after {done_s:.1f} s of {planned}, in step {self.label!r}"
@@ -184,7 +184,7 @@ class Sequencer:
                 await self._hold()
 
     async def stand(self, duration_s: float, label: str = "") -> None:
-        """Leave all axes at rest for a time; ``label`` gives its purpose."""
+        """Leave all axes at rest for a time; ``label`` gives its purpose. Successive ones with one label are one."""
         if self._standing is None or self._standing[0] != label:
             self._record_standing()
             self._standing = label, asyncio.get_running_loop().time()

@@ -105,13 +105,11 @@ class Session:
         on_progress: Callable[[Callable[[], Snapshot]], None] = lambda look: None,
         on_event: Callable[[float, EventKind, str], None] | None = None,
     ) -> None:
-        """Create the recording ``path`` and its journal; no device is opened. Call it on the running loop.
+        """Create the recording ``path`` and its journal, on a running loop; RecordingError if it exists or cannot be.
 
-        RecordingError if the recording exists or cannot be created.
-
-        ``on_event(t_s, kind, text)`` is called for every event, at ``t_s`` seconds of the loop's clock. ``on_progress``
-        is called with every row of table readings; its argument is a function that returns a brief snapshot. An
-        exception of either is reported once and does not end the run.
+        No device is opened. ``on_event(t_s, kind, text)`` is called for every event, at ``t_s`` seconds of the loop's
+        clock. ``on_progress`` is called with every row of table readings; its argument is a function that returns a
+        brief snapshot. An exception of either is reported once and does not end the run.
         """
         config, time_scale = bench.bench, options.time_scale
         self._model = options.model if options.model is not None and not options.model.is_empty else None
@@ -216,7 +214,7 @@ class Session:
         return tuple(name for source in self._live.sources.values() for name in source.array.names)
 
     def stop(self, who: str = "the operator") -> None:
-        """Bring the table to rest by a controlled stop and end the run, in whatever phase it is."""
+        """Have the table brought to rest by a controlled stop and the run ended, in any phase; return at once."""
         if not self._reason:
             self._reason = self._stopped_by(who)
         if self._running is not None:

@@ -38,7 +38,7 @@ class SourceReport:
         return found
 
     def as_object(self) -> dict[str, Any]:
-        """Return the object for --json, in SI."""
+        """Return the object for --json, in SI: all counts, and clock and offset, None if not known."""
         return {
             **asdict(self.counts),
             "clock": self.clock and asdict(self.clock),

@@ -170,7 +170,7 @@ class Search:
         return self._chosen(solve, settle)
 
     def ways(self, total_s: float | None, most: int) -> list[tuple[Way, ...]]:
-        """Return the ``most`` best combinations of turns under white noise, in ``total_s`` or for the least time."""
+        """Return up to ``most`` combinations of turns, the best under white noise, in ``total_s``; None: least time."""
         if total_s is None:
             ranked = self._ranked(lambda shape: _shortest(shape, self.needs))
         else:

@@ -49,7 +49,7 @@ class HostWatch:
         return True
 
     def look(self) -> None:
-        """Measure how crowded the processors are."""
+        """Measure how crowded the processors are; does nothing on a system that does not report it."""
         now_s = asyncio.get_running_loop().time()
         with suppress(OSError, ValueError, IndexError):  # not every system reports it
             waited_s = float(_PRESSURE.read_text(encoding="ascii").split("\n", 1)[0].rpartition("total=")[2]) * 1e-6

@@ -23,7 +23,7 @@ class ScaledLoop(asyncio.SelectorEventLoop):
     """A loop whose clock runs ``scale`` times as fast as the wall's; 1 is real time."""
 
     def __init__(self, scale: float = 1.0) -> None:
-        """Start the clock at zero."""
+        """Start the clock at zero; set how often the threads of the whole process change over."""
         self.scale = scale
         sys.setswitchinterval(_SWITCH_S)
         self._began = time.monotonic()
@@ -101,7 +101,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             self._now = max(self._now, scheduled[0].when())
 
     def run_in_executor(self, executor: Executor | None, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
-        """Run at once: a thread would not share this clock."""
+        """Call ``func`` at once, in no thread, which would not share this clock; its exception is raised here."""
         future = self.create_future()
         future.set_result(func(*args))
         return future

@@ -86,7 +86,7 @@ async def _stand_guard(order: Order) -> None:
     """Build the drivers, report that the guard is ready, and make the devices safe if the station dies while armed.
 
     A driver that cannot be built is reported on stderr and left out; without any it ends at once, and is never ready.
-    Only after a death it holds the station's locks, until all is done, and writes the log of the order.
+    After a death it also holds the station's locks until all is done, and writes the log named in the order.
     """
     devices: list[_Device] = []
     for packed in order.devices:

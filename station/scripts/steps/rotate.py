@@ -46,7 +46,7 @@ class Rotate(Step):
         return (Demand(self.axis, self.rate_rps, self.acceleration_rps2),)
 
     def problem(self) -> str:
-        """Return whether the duration is too short for both ramps."""
+        """Return in words that the duration is too short for both ramps, "" if it is not."""
         ramp_s = abs(self.rate_rps) / self.acceleration_rps2
         if self.duration_s > 2 * ramp_s:
             return ""

@@ -26,7 +26,7 @@ _TIME_STEP_S = 0.01  # to which times are rounded, as a person would write
 
 
 def driven_limits(limits: Mapping[str, AxisLimits]) -> dict[str, AxisLimits]:
-    """Return the limits with accelerations that the controller can set."""
+    """Return the limits with accelerations that the controller can set; ScriptError if an axis has none of these."""
     return {
         axis: replace(limit, acceleration_rps2=driven_acceleration(limit.acceleration_rps2, axis, limit))
         for axis, limit in limits.items()
