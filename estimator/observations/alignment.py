@@ -279,9 +279,10 @@ def _near_ends(outputs: Floats) -> Flags:
 
 
 def _columns(means: _Means, delay_s: float) -> tuple[Floats, Flags, Floats]:
-    """Return [1, body rate] (n, 4) at a delay, for which intervals (n,) that is known, and weights (n,), 0 elsewhere.
+    """Return [1, body rate] (n, 4) at a delay, NaN where unknown, flags (n,) of known ones, and weights (n,).
 
-    Intervals that turn faster than nearly all others get less weight, so that a reference that jumps has no more.
+    The weight is 0 where the rate is unknown. Intervals that turn faster than nearly all others get less weight, so
+    that a reference that jumps has no more.
     """
     w = means.rates(delay_s)
     known, weight = _weights(w.T[None])

@@ -81,8 +81,9 @@ class BlockSums:
         self._products, self._shift = np.zeros((width, width)), np.zeros(width)
 
     def add(self, t_ns: NDArray[np.int64], w_rps: Floats, z_rps: Floats) -> None:
-        """Add instants (rows,), body rates (rows, 3) and output errors (rows, m), later than all before; none change
-        nothing.
+        """Add instants (rows,), body rates (rows, 3) and output errors (rows, m), all finite and later than all before.
+
+        No rows change nothing.
         """
         if not len(t_ns):
             return

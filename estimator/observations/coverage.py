@@ -65,10 +65,11 @@ class _Turning:
 
 
 def coverage(recording: Recording, sources: Sequence[ImuData]) -> tuple[AxisCoverage, ...]:
-    """Return the coverage of each axis about which a recording turns; ``sources`` are the samples in use.
+    """Return the coverage of each axis about which a recording turns, in order x, y, z.
 
-    Axes are those of the body, whose states may change, and of the table, whose gearing may. For axes of the same name,
-    and several sources, the time covered by all of them counts.
+    ``sources`` are the samples in use. Axes are those of the body, whose states may change, and of the table, whose
+    gearing may. For axes of the same name, and several sources, the time covered by all of them counts. Empty if no
+    axis turns or no sample is finite.
     """
     seen = []
     for data in sources:
@@ -206,9 +207,9 @@ def _middle(turning: _Turning, amount: Floats) -> tuple[float, float]:
 
 
 def _turnings(recording: Recording, data: ImuData) -> Iterator[_Turning]:
-    """Yield the motion of the body, then that of the axes of a table.
+    """Yield the motion of the body and, for a table, that of its axes as a second one.
 
-    Without turns, table or rates the gyros of the source themselves give the motion.
+    Without turns, table or rates the gyros of the source themselves give the motion. A motion may have no rows.
     """
     turns = recording.turns
     rates = recording.reference.external_rates()

@@ -27,7 +27,7 @@ def rest_noise(data: ImuData, reference: Reference) -> list[SensorNoise]:
 def sensor_series(recording: Recording) -> tuple[dict[str, list[Series]], list[str]]:
     """Return by source the series of its gyros and accelerometers while the body rests, and notes on those not usable.
 
-    RecordingError, with what to do, if no rest is known.
+    A source of which no series is usable has an empty list. RecordingError, with what to do, if no rest is known.
     """
     spans = recording.reference.rests_ns
     if not spans:
@@ -59,9 +59,9 @@ def accelerometer_series(data: ImuData, spans_ns: list[tuple[int, int]]) -> Seri
 
 
 def motion_notes(recording: Recording) -> list[str]:
-    """Return sentences on what the motion of the table leaves unobserved: axes that never turn, and no rest.
+    """Return sentences on what the motion of the table leaves unobserved: axes that never turn, and a lack of rests.
 
-    Empty if there is nothing, and for other references.
+    Of a table that never turns at all only the former is said. Empty if there is nothing, and for other references.
     """
     table = recording.table
     if table is None:

@@ -66,10 +66,10 @@ def observations(recording: Recording, data: ImuData) -> Iterator[Observations]:
 
 
 def table_rows(recording: Recording, data: ImuData) -> Iterator[Observations]:
-    """Yield rows of body rate and output at the samples that the table's readings cover; the reference must be a table.
+    """Yield rows of body rate and output at the samples that the readings of the table, the reference, cover.
 
     Where the table tells only how far it turned, its rates are means over short intervals. Samples whose body rate is
-    not known are left out.
+    not known are left out. AssertionError for any other reference.
     """
     reference = recording.table
     assert reference is not None, "rows against a table need one"
@@ -103,9 +103,10 @@ def _sampled(data: ImuData, first_ns: int, last_ns: int, at: Callable[[Stamps], 
 
 
 def source_blocks(recording: Recording, data: ImuData, length_s: float = BLOCK_S) -> Blocks:
-    """Return the rows of one source against a table or a rate, averaged by block from the first reading of that on.
+    """Return body rates and output errors of one source against a table or a rate, averaged by block of ``length_s``.
 
-    Without rows there are no blocks. AssertionError for any other reference.
+    An output error is the output less the body rate about the nominal sense axis. The first block begins at the first
+    reading of the reference. Without rows there are no blocks. AssertionError for any other reference.
     """
     reference = recording.reference
     assert isinstance(reference, (TableReadings, RateReadings)), "blocks are against a table or a rate"
@@ -184,9 +185,9 @@ def coarser(reference: Reference, data: ImuData) -> bool:
 
 
 def sample_noise(data: ImuData) -> Floats:
-    """Return the white noise of one sample of each channel (m,), from differences of neighbours.
+    """Return the white noise of one sample of each channel (m,) in rad/s, one sigma, from differences of neighbours.
 
-    It is at least that of rounding to the smallest step.
+    It is at least that of rounding to the smallest step, and NaN for fewer than two samples.
     """
     # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
     rate = in_order(data)[1]

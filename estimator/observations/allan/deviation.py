@@ -70,10 +70,10 @@ def _sum_of_squares(phase: Floats, width: int) -> float:
 def degrees_of_freedom(lengths: Sequence[int], width: int, period_s: float, sizes: Floats) -> Floats:
     """Return the equivalent degrees of freedom (m,) of the Allan variance at ``width`` samples.
 
-    ``lengths`` are the samples of each stretch; ``sizes`` (m, 3) are N, B and K of each sensor, whose mixture decides.
-    The sum is that of Greenhall and Riley (2004) for unfiltered phase, over the squared autocovariance of the second
-    differences. That is the one of sampled noise, by its spectrum; at widths below 8 it differs from theirs, of
-    continuous noise.
+    ``lengths`` are the samples of each stretch, of which one must be at least three widths: shorter ones do not count.
+    ``sizes`` (m, 3) are N, B and K of each sensor, whose mixture decides. The sum is that of Greenhall and Riley (2004)
+    for unfiltered phase, over the squared autocovariance of the second differences. That is the one of sampled noise,
+    by its spectrum; at widths below 8 it differs from theirs, of continuous noise.
     """
     scale = max(width / _COARSE, 1.0)
     coarse = max(round(width / scale), 1)

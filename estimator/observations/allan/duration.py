@@ -18,7 +18,8 @@ def record_length_s(noise: NoiseTerms, term: int, share: float) -> float:
     long.
 
     ``term`` is its number, 0 to 2 for N, B and K. From the Fisher information of the series under the estimated noise
-    (Cramer-Rao). A term that was not seen is assumed to have its upper limit. The result is never below 32 means.
+    (Cramer-Rao). A term that was not seen is assumed to have its upper limit. The least result is 32 times
+    ``noise.shortest_s``.
     """
     sizes = noise.values
     found = (noise.n, noise.b, noise.k)[term]
@@ -57,7 +58,7 @@ def relative_uncertainty(sizes: Floats, term: int, span_s: float, mean_s: float)
 def _bands(count: int, mean_s: float) -> Bands:
     """Return bands of a series of ``count`` means over ``mean_s``, without data.
 
-    The lowest frequencies have a band each, the others some sixty together.
+    The lowest frequencies have a band each, all others together share some sixty bands.
     """
     numbers = np.arange(1, min(count, _SINGLY))
     counts = np.ones(len(numbers))

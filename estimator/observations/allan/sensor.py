@@ -46,9 +46,9 @@ class Series:
     ) -> "Series":
         """Return the series of outputs (n, m) of sensors ``names`` at instants (n,) within spans of rest (first, last).
 
-        ``unit`` is that of ``values``. A gap of more than a second ends a stretch, shorter ones are skipped. Rows that
-        are not finite count as missing; sensors that are hardly ever finite are listed as silent. RecordingError if all
-        are silent, the samples have no rate, or more than a twentieth is missing.
+        Instants ascend; ``unit`` is that of ``values``. A gap of more than a second ends a stretch, shorter ones are
+        skipped. Rows that are not finite count as missing; sensors that are hardly ever finite are listed as silent.
+        RecordingError if all are silent, the samples have no rate, or more than a twentieth is missing.
         """
         speaks = np.isfinite(values).mean(axis=0) > _SILENT
         silent = tuple(name for name, speaking in zip(names, speaks, strict=True) if not speaking)

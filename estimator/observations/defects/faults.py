@@ -146,7 +146,7 @@ def split_faulty(data: ImuData) -> list[ImuData]:
 def saturations(notes: Sequence[str], data: ImuData) -> list[Fault]:
     """Return a fault for each gyro whose outputs reach a limit, by the notes on its channels.
 
-    The limit is the largest size of its outputs.
+    ``notes`` are those of ``health.usable``. The limit is the largest size of its outputs.
     """
     faults = []
     for i, name in enumerate(data.array.names):

@@ -69,9 +69,10 @@ def _times(count: int) -> str:
 
 
 def _differences(data: ImuData, line: Following) -> tuple[Floats, Floats]:
-    """Return the excess turn (k - 1, 3) of the reference over the gyros in each interval, and the rate there.
+    """Return the excess turn (k - 1, 3) of the reference over the gyros in each interval, and the speed (k - 1,).
 
-    NaN where either is unknown. Directions in which the gyros do not sense have no excess.
+    In rad and rad/s, the speed by the gyros. The excess is NaN where either is unknown, the speed where that of the
+    gyros is. Directions in which the gyros do not sense have no excess.
     """
     turned = line.turned
     gains = line.rows[1:]
@@ -107,7 +108,11 @@ def _far(off_rad: Floats, speed_rps: Floats) -> Flags:
 
 
 def _places(far: Flags, t_s: Floats) -> list[tuple[int, int]]:
-    """Return the places of wrong readings as (first interval, one past the last); neighbouring ones are one place."""
+    """Return the places of wrong readings as (first interval, one past the last), in order.
+
+    ``far`` (k - 1,) flags the intervals between readings at ``t_s`` (k,). Places less than ``_TOGETHER_S`` apart are
+    one.
+    """
     places: list[tuple[int, int]] = []
     for start, stop in runs_of(far):
         if places and t_s[start] - t_s[places[-1][1]] < _TOGETHER_S:

@@ -18,7 +18,7 @@ _BY_CHANCE, _FEWEST_EQUAL = 1e-6, 4.0  # that so many samples in a row are equal
 def longest_by_chance(alike: float) -> float:
     """Return how many samples in a row are equal by chance, at least four; infinite where nothing changes.
 
-    ``alike`` is the probability that a sample equals the one before.
+    ``alike``, from 0 to 1, is the probability that a sample equals the one before.
     """
     if alike >= 1:
         return math.inf
