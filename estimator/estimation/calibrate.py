@@ -132,7 +132,7 @@ def _doubts(
 def _gyro_notes(recording: Recording, gyros: Sequence[tuple[SourceEstimate, GyroCalibration]]) -> list[str]:
     """Return sentences on states that a recording did not show, and on a k that is rather a wrong sign or unit.
 
-    None for a body at rest, which has its own note.
+    A body at rest gets none, as it has its own note.
     """
     notes: list[str] = []
     for one, gyro in gyros if not recording.reference.at_rest else ():

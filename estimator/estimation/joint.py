@@ -309,8 +309,8 @@ def _delays(joint: Joint, covariances: Sequence[Floats]) -> dict[str, tuple[floa
 def _offset_notes(recording: Recording, offsets: dict[str, TimeOffset], external: bool) -> list[str]:
     """Return sentences on the time offsets beyond chance and, of a table, beyond its stated timing, and on who is late.
 
-    None for a table without a stated uncertainty. ``external``: the reference is another instrument. ``offsets`` are by
-    source. A sentence that is the same for several sources comes once.
+    A table without a stated uncertainty gets none. ``external``: the reference is another instrument. ``offsets`` are
+    by source. A sentence that is the same for several sources comes once.
     """
     stated = recording.table.uncertainty if recording.table is not None else None
     notes = []

@@ -66,7 +66,7 @@ def between_runs(states: Floats, sd: Floats) -> Floats:
     """Return the standard deviation (4,) between the runs of a device, from states and sigmas of its gyros (runs, n,
     4).
 
-    It is one for all gyros. Zero where chance gives as much scatter.
+    It is one for all gyros, from two runs or more. Zero where chance gives as much scatter.
     """
     dof = states.shape[1] * (len(states) - 1)
     squares, spread = np.sum(_moments(states, sd), axis=1)

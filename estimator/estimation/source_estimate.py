@@ -67,8 +67,8 @@ class DeviceEstimate:
 def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEstimate:
     """Return the estimate of a source under white noise: for turns, or for too few samples to tell the kind of noise.
 
-    For turns the noise is at least the stated one and ``noise`` is None; otherwise it is the scatter of the residual.
-    RecordingError for too few turns or rows (``gram_of``).
+    For turns the noise is at least the stated one, and ``noise`` holds None for each gyro; otherwise it is the scatter
+    of the residual. RecordingError for too few turns or rows (``gram_of``).
     """
     gram, m = gram_of(recording, source, data), len(data.array)
     noise = None

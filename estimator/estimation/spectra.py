@@ -295,8 +295,9 @@ Z = 4
 
 
 def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) -> list[GyroSpectra]:
-    """Return every gyro of the runs, with the columns of its states and its output error, over all stretches that are
-    long enough; gyros without any are left out.
+    """Return the gyros of the runs, with the columns of states and output error over all long enough stretches.
+
+    Gyros of one name in several runs are one; those without such a stretch are left out.
 
     The white noise is the median over the upper half of the spectrum, where ramps and tones are few, and at least the
     stated noise of turns. ``arw`` gives it by name of the gyro instead (rad/s/rtHz), for runs of which much is left

@@ -159,9 +159,10 @@ def moved_by(joint: Joint, undeclared: Undeclared) -> list[Floats]:
 
 
 def effects_by_state(joint: Joint, covariances: Sequence[Floats]) -> tuple[UndeclaredEffect, ...]:
-    """Return for each state the undeclared effects that cause most of its variance, as the mean over the gyros.
+    """Return the undeclared effects that cause most of the variance of each state, as the mean over the gyros.
 
-    At most ``_MOST_NAMED`` a state, and none with a share below ``_NAMED``.
+    They come by state, the largest share first: at most ``_MOST_NAMED`` a state, and none with a share below
+    ``_NAMED``.
     """
     shares: dict[tuple[int, str], float] = {}
     shown_by: dict[str, str] = {}

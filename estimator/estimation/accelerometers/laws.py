@@ -164,7 +164,8 @@ def rest_angle_law(table: TableReadings) -> Law | None:
 def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
     """Return the law of the angles of axes that stand, for counts (g,) of their encoders in rad, infinite if unknown.
 
-    It has one parameter for each span in which an axis of a known count stands. None if there is no such span.
+    Axes are in the order of the table's gimbals. The law has one parameter for each span in which an axis of a known
+    count stands. None if there is no such span.
     """
     rounded = [place for place, count in enumerate(counts_rad.tolist()) if np.isfinite(count)]
     stands_ns = table.stands_ns
@@ -174,7 +175,10 @@ def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
     names = [f"{table.gimbals[place]} from {first_s:.1f} s" for place, first_s, _ in spans_s]
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
-        """Return the changes (N, spans) of the output by the angle of each axis that stands; 0 outside of the span."""
+        """Return the changes (N, spans) of the output, in m/s2 per rad, by the angle of each axis that stands.
+
+        They are 0 outside of the span.
+        """
         changes = {}
         for place in rounded:
             unit = np.eye(3)[AXES.index(conditions.gimbals[place])]

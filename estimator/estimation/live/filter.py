@@ -67,11 +67,11 @@ class LiveFilter:
         wdot_rps2: Floats | None = None,
         taken_off_s: float = 0.0,
     ) -> Innovation:
-        """Update the states with body rates (rows, 3) and outputs (rows, m) of one block; return its innovation.
+        """Update the states with finite body rates (rows, 3) and outputs (rows, m) of a block; return its innovation.
 
         ``further`` (rows, m, columns) are the columns of each gyro beyond its four states. ``wdot_rps2`` (rows, 3) is
         the derivative of the body rate, by which the time offset shows; None leaves the offset out. ``taken_off_s`` is
-        the offset that the body rates already allow for.
+        the offset that the body rates already allow for. The NIS is added to the sums.
         """
         z = y_rps - w_rps @ self._array.p.T
         regressors = np.column_stack([np.ones(len(z)), w_rps])

@@ -119,7 +119,7 @@ class ForceProblem:
     def arm(self, x: Floats, covariance: Floats, counted: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the mean place (3,) in m of the accelerometers with the numbers ``counted``, and its sigmas (3,).
 
-        They follow from all parameters x (size,) and their covariance.
+        They follow from all parameters x (size,) and their covariance. Without any ``counted`` both are 0.
         """
         weights = np.zeros((3, len(x)))
         for i in counted:

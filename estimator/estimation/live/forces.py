@@ -189,7 +189,7 @@ class LiveForces:
     def take_history(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
         """Return by group ("force_innovation", "force_estimate") the columns kept since the last call, and forget them.
 
-        Empty for fewer than ``fewest`` blocks, which then stay for the next call.
+        Empty for fewer than ``fewest`` blocks, which then stay for the next call. A group without rows is left out.
         """
         with self.lock:
             if len(self._history["force_innovation"]) < fewest:
@@ -204,7 +204,7 @@ class LiveForces:
         return [i for i in numbers if len(self._kept[i]) and not self._judges[i].excluded] or list(numbers)
 
     def _begin(self) -> None:
-        """Make the filter with the data sheet alone."""
+        """Make the filter with the data sheet alone; sums, history and what the accelerometers gave stay."""
         from filterpy.kalman import KalmanFilter  # 0.8 s of import: only where a filter runs
 
         size = len(self.problem.variances)
@@ -314,7 +314,7 @@ class LiveForces:
     def _take_out(self) -> None:
         """Make the filter anew from what the accelerometers gave that are not excluded.
 
-        All samples of an excluded one count as unused.
+        All samples of an excluded one count as unused. Sums and history stay as they were.
         """
         self._begin()
         for i, judge in enumerate(self._judges):

@@ -274,7 +274,7 @@ class _Problem:
     def _frame(self, rows: Floats) -> Floats:
         """Return the rotation (3, 3) of sensitivities after which the gyros have the least misalignments.
 
-        Without gyros it is that of the accelerometers.
+        ``rows`` (s, 3) are the sensitivities of all sensors. Without gyros the rotation is that of the accelerometers.
         """
         framing = ~self.felt if not self.felt.all() else self.felt
         frame = np.eye(3)

@@ -111,11 +111,11 @@ def _smooth_temperature(t_s: Floats, temperature_c: Floats, grid_s: Floats) -> F
 
 
 def force_at(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
-    """Return the specific force (N, 3) in body axes, in m/s^2: from the attitude if the reference has one, else the
-    accelerometer.
+    """Return the specific force (N, 3) in body axes, in m/s^2, at instants ``grid_s`` (N,) in s.
 
-    The accelerometer's is smoothed. Outside the readings the first or last one holds. All NaN if there is neither, or
-    no sample of the accelerometer is finite.
+    It is that of gravity by the attitude, if the reference has one, else the smoothed output of the accelerometer.
+    Outside the readings the first or last one holds. All NaN if there is neither, or no sample of the accelerometer is
+    finite.
     """
     attitude = recording.reference.attitude
     if attitude is not None:
