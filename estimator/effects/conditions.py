@@ -64,7 +64,7 @@ class Conditions:
 
     @property
     def offers(self) -> frozenset[str]:
-        """The data available for effects: "gimbals", "specific force" (if finite at all instants), "temperature"."""
+        """Data that effects can use: "gimbals", "specific force" (finite at all instants), "temperature" (if given)."""
         held = {
             "gimbals": bool(self.gimbals),
             "specific force": bool(np.isfinite(self.specific_force_mps2).all()),

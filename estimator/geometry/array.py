@@ -122,7 +122,7 @@ def accelerometer_axes(array: SensorArray, mounting: Floats | None = None) -> Fl
 
 
 def accelerometer_array(axes: Floats, gyros: SensorArray) -> SensorArray:
-    """Return the accelerometers of a device with nominal sense ``axes`` (n, 3).
+    """Return the accelerometers of a device with nominal sense ``axes`` (n, 3), under their usual names.
 
     If each lies along the gyro of its number, all have the tilt axes of these gyros, which turn with the device when it
     is mounted otherwise. Else all get derived ones. GeometryError as for ``sensor_array``.

@@ -123,8 +123,10 @@ def _turn_frame(v: Floats, axis: str, angle_rad: Floats) -> Floats:
 
 
 def axis_text(direction: Floats | Sequence[float], near: float = 1 - 1e-6) -> str:
-    """Return a direction (3,) of any length in the notation of a mapping file: "-z" if its cosine exceeds ``near``,
-    else three numbers.
+    """Return a direction (3,) of any length above 0 in the notation of a mapping file.
+
+    It is ``"-z"``, with the quotes, if the cosine to an axis exceeds ``near``; else the three numbers of the unit
+    vector in brackets.
     """
     v = np.asarray(direction, dtype=np.float64)
     v = v / np.linalg.norm(v)

@@ -12,9 +12,9 @@ from estimator.types import Floats
 def turned(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Floats]:
     """Return angles and rates at instants (..., n) for a polyline of rates with parameters ``p``.
 
-    ``p`` has the instants of the corners, the rates there, the angle at the first corner, and the scale of rates, which
-    is not used. Before the first and after the last corner the rate is constant. Rates are means over the ``window_s``
-    before each instant, if given.
+    ``p`` (2 k + 2,) has the ascending instants of the k corners, the rates there, the angle at the first corner, and
+    the scale of rates, which is not used. Before the first and after the last corner the rate is constant. Rates are
+    means over the ``window_s`` before each instant, if given.
     """
     k = len(p) // 2 - 1
     corners, rates = p[:k], p[k : 2 * k]

@@ -113,8 +113,8 @@ class Forecast:
 def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: Sequence[Effect] = ()) -> Forecast:
     """Return what a motion will show: sigmas of the states of each gyro, and the smallest visible size of each effect.
 
-    ``conditions`` are those of the motion at N instants. The forecast also has what each effect shifts the states by,
-    pairs of visible effects that look alike, and whether there are too few different rates.
+    ``conditions`` are those of the motion at N even instants. The forecast also has what each effect shifts the states
+    by, pairs of visible effects that look alike, and whether there are too few different rates.
     """
     scales: list[Floats] = []
     names: list[tuple[str, str]] = []
@@ -148,7 +148,8 @@ def _information(conditions: Conditions, device: PlannedDevice, effects: Sequenc
     """Return the information (4 + E, 4 + E) of each gyro of a device on its 4 states and the E parameters of
     ``effects``.
 
-    States are in units of their prior sigma, parameters in units of their largest plausible size.
+    States are in units of their prior sigma, parameters in units of their largest plausible size. What is expected of
+    them is not included.
     """
     products = weighing(conditions.t_s, conditions.period_s, device.noise)
     regressors = np.column_stack([np.ones(len(conditions.t_s)), conditions.w_rps])

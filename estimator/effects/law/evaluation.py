@@ -31,7 +31,7 @@ _COMBINED: Mapping[type[ast.operator], Callable[[Floats, Floats], Floats]] = {
 def columns_of(law: str, conditions: Conditions, axes: Axes) -> Floats:
     """Return the terms (N, terms) of a law under conditions at N instants, for a gyro with these axes.
 
-    LawError for an invalid text.
+    LawError for an invalid text, ValueError for an axis that the table does not have.
     """
     variables = Variables(conditions, axes)
     terms = compiled(law)

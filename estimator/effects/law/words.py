@@ -20,7 +20,7 @@ _MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 def in_words(law: str) -> str:
     """Return a law in words: "bias proportional to temperature lagged by 58 s".
 
-    A law of more than four terms is described by its variables and a function only.
+    A law of more than four terms is described by its variables and a function only. LawError for an invalid text.
     """
     if len(parsed(law)) > _MOST_TERMS_IN_WORDS:
         about = " and ".join(VARIABLES[name][2] for name in variables_of(law))
