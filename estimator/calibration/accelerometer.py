@@ -155,8 +155,9 @@ class ForceCalibration:
 
     @property
     def intrinsic(self) -> Intrinsic:
-        """Sensitivities (a,), offsets (a,) and angles of all pairs, which another laboratory can reproduce, with
-        sigmas.
+        """Sensitivities (a,), offsets (a,) and angles of all pairs with sigmas, which another laboratory can reproduce.
+
+        There must be at least one accelerometer.
         """
         states = np.concatenate([one.states for one in self.accelerometers])
         value = self._intrinsic_of(states)

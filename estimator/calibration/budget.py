@@ -55,11 +55,10 @@ def merged(lines: Sequence[Contribution]) -> tuple[Contribution, ...]:
 def table_budget(
     readings: TableReadings, site: Site | None, array: SensorArray, prior: Prior, arw_rps_rthz: Floats
 ) -> list[tuple[Contribution, ...]]:
-    """Return the contributions of the table for each gyro, one for each of ``KINDS``.
+    """Return for each of m gyros the contributions of the table, one for each of ``KINDS``.
 
-    Without any for each if the table states no uncertainty or has fewer than eight readings.
-
-    ``arw_rps_rthz`` (m,) only determines the weight of the prior relative to the data, as in the estimate itself.
+    They are empty tuples if the table states no uncertainty or has fewer than eight readings. ``arw_rps_rthz`` (m,)
+    only determines the weight of the prior relative to the data, as in the estimate itself.
     """
     if readings.uncertainty is None or len(readings.t_ns) < _FEWEST:
         return [() for _ in array.names]
@@ -141,7 +140,8 @@ class _Fit:
 def _changes(readings: TableReadings, t_s: Floats, w: Floats) -> Iterator[tuple[str, Floats]]:
     """Yield (kind, change) of each imperfection of the table: the change (rows, 3) of the body rate ``w`` by one sigma.
 
-    Kinds are rate, orthogonality, wobble and timing; nothing if the table states no uncertainty.
+    Kinds are rate, orthogonality, wobble and timing, all but the last once or more for each axis. Nothing if the table
+    states no uncertainty.
     """
     u, gimbals = readings.uncertainty, readings.gimbals
     if u is None:

@@ -30,7 +30,7 @@ from estimator.types import Floats
 
 
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:
-    """Write /calibration: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise of a sample (n,).
+    """Write /calibration, anew: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise of a sample (n,).
 
     With ``noise`` (n, 3) if known for all gyros, its upper 95 % limits (n, 2), and ``budget`` (n, contributions, 4), if
     all gyros have the same: standard uncertainties that add in squares to ``sd``. With ``rest`` of all gyros, Allan
@@ -110,9 +110,10 @@ def _rest_datasets(rests: Sequence[SensorNoise]) -> dict[str, NDArray[np.float64
 def read_calibration(path: Path | str, *, trusted: bool = False) -> Calibration:
     """Return the calibration stored in the group /calibration of a recording.
 
-    Not stored, and so missing: correlations within a line of the budget (its covariance is diagonal), the noise at rest
-    (``rest`` is None), and the parity of redundant gyros. A recording whose run died is recovered first, and probed.
-    ``trusted`` skips both, for a file that this process has read already.
+    Missing from it are correlations within a line of the budget (its covariance is diagonal), the noise at rest
+    (``rest`` is None), the parity of redundant gyros, time offsets, ``spoilt`` and undeclared effects. A recording
+    whose run died is recovered first, and probed. ``trusted`` skips both, for a file that this process has read
+    already.
 
     RecordingError if the file cannot be read, or holds no calibration or a damaged one; ModelError if its error model
     is of another version.

@@ -123,8 +123,9 @@ class Compensation:
     def simplified(self, keep: Collection[str], temperature_c: float) -> tuple[Self, dict[str, str]]:
         """Return a compensation with only the effects ``keep``, and for each other effect why it is left out.
 
-        Of effects of the temperature the constants then include the value at ``temperature_c`` (NaN: that of the
-        reference), and a warm-up is over. An effect without such a steady value is dropped uncorrected.
+        ``keep`` has names in the catalogue; the reasons are by ``KnownEffect.called``. Of effects of the temperature
+        the constants then include the value at ``temperature_c`` (NaN: that of the reference), and a warm-up is over.
+        An effect without such a steady value is dropped uncorrected.
         """
         g, b = self.sensitivity, self.bias_rps.copy()
         above = temperature_c - REFERENCE_C if np.isfinite(temperature_c) else 0.0
