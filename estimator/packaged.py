@@ -13,7 +13,10 @@ def packaged_toml(package: str, name: str) -> dict[str, Any]:
 
 
 def sentence(key: str, /, **values: object) -> str:
-    """Return the sentence of a name, "table.name", its fields filled in by these values."""
+    """Return the sentence of a name, "table.name", its fields filled in by ``values``.
+
+    KeyError for an unknown name, or a field without a value.
+    """
     table, name = key.split(".")
     text: str = packaged_toml("estimator", "sentences.toml")[table][name]
     return text.format(**values)

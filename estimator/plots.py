@@ -30,7 +30,10 @@ def plot_rates(recording: Recording, axes: "Axes | None" = None) -> "Axes":
 
 
 def plot_states(calibration: Calibration, state: int = 0, axes: "Axes | None" = None) -> "Axes":
-    """Draw one state (0 to 3: k, b, sigma_j, sigma_k) of every gyro with its 95 % interval; return the axes."""
+    """Draw one state of every gyro with its 95 % interval; return the axes, new ones by default.
+
+    ``state`` is 0 to 3 for k in ppm, b in deg/h, sigma_j and sigma_k in arcsec.
+    """
     axes = _axes(axes)
     values = [gyro.states[state] * _SHOWN[state] for gyro in calibration.gyros]
     halves = [1.96 * gyro.sd[state] * _SHOWN[state] for gyro in calibration.gyros]

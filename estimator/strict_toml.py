@@ -62,7 +62,7 @@ class StrictTable:
         return cls.parse(read_text(path, error, wanted), str(path), error)
 
     def again(self) -> Self:
-        """Return a copy of this table in its present state, for another reader."""
+        """Return a copy of this table for another reader, with the keys that are not taken yet."""
         return type(self)(self._data, self._path, self._text, self._file, self._error)
 
     def fail(self, key: str | None, message: str) -> Exception:
@@ -77,12 +77,15 @@ class StrictTable:
         return self._error(f"{where}: {name}: {message}" if name else f"{where}: {message}")
 
     def has(self, key: str) -> bool:
-        """Return whether the key is present and not taken yet."""
+        """Return whether the key is present and not taken yet; for ``done`` it counts as known from now on."""
         self._known.append(key)
         return key in self._data
 
     def text_of(self, key: str) -> str:
-        """Return the text of a key that is not taken yet, as it stands in the file; empty if it is none."""
+        """Return the text of a key that is not taken yet, without taking it; "" if it is missing or no text.
+
+        White space within it becomes single spaces.
+        """
         value = self._data.get(key)
         return " ".join(value.split()) if isinstance(value, str) else ""
 
@@ -109,11 +112,11 @@ class StrictTable:
         return self.take(key, default, convert)
 
     def integer(self, key: str, default: int | None = None) -> int:
-        """Take a whole number."""
+        """Take the whole number of ``key``, ``default`` if it is left out; errors as for ``number``."""
         return self.take(key, default, lambda value: int(typed(value, (int,), "a whole number")))
 
     def flag(self, key: str, default: bool | None = None) -> bool:
-        """Take true or false."""
+        """Take true or false of ``key``, ``default`` if it is left out; errors as for ``number``."""
         return self.take(key, default, lambda value: bool(typed(value, (bool,), "true or false")))
 
     def string(self, key: str, default: str | None = None, *, one_of: Iterable[str] | None = None) -> str:
@@ -145,11 +148,14 @@ class StrictTable:
         return self.take(key, default, convert)
 
     def value(self, key: str, default: Any = None) -> Any:
-        """Take any value of the key, or the default."""
+        """Take any value of the key, unchecked, or the default; the key is never required."""
         return self._data.pop(key, default) if self.has(key) else default
 
     def table(self, key: str, *, optional: bool = False) -> Self:
-        """Take the table ``key``; an empty one if it is missing and ``optional``, else the table's error."""
+        """Take the table ``key``, an empty one if it is missing and ``optional``.
+
+        The table's error if it is missing otherwise, or no table.
+        """
         if not self.has(key) and not optional:
             raise self.fail(None, f"table [{'.'.join(str(p) for p in (*self._path, key))}] is missing")
         data = self._data.pop(key, {})
@@ -158,7 +164,7 @@ class StrictTable:
         return self._within(data, key)
 
     def tables(self, key: str) -> list[Self]:
-        """Take an array of tables."""
+        """Take the array of tables ``key``, empty if it is missing; the table's error if it is no such array."""
         data = self._data.pop(key, []) if self.has(key) else []
         if not isinstance(data, list) or not all(isinstance(d, dict) for d in data):
             raise self.fail(key, f"must be an array of tables, [[{key}]]")

@@ -15,6 +15,6 @@ def least_steps(steps: Floats, above: float = 1e-9) -> Floats:
 
 
 def runs_of(flags: Flags) -> list[tuple[int, int]]:
-    """Return where each run of true values starts and ends."""
+    """Return (first, one past the last) of each run of true values in flags (n,), in order."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -22,9 +22,9 @@ _HARMFUL = dict.fromkeys(
 
 
 def harmless(text: str) -> str:
-    """Return a text without control characters of terminals (C0, C1), direction marks, and unencodable characters.
+    """Return a text with control characters of terminals (C0, C1), direction marks and unencodable characters replaced.
 
-    Line feeds and tabs are kept.
+    In their place comes U+FFFD each. Line feeds and tabs are kept; CR LF becomes a line feed.
     """
     return text.replace("\r\n", "\n").translate(_HARMFUL)
 
