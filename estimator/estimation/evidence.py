@@ -104,7 +104,7 @@ class Evidence:
         return Evidence(self.gyros, self.shapes.select(np.arange(len(self.shapes)) == noise), self.excess)
 
     def narrow(self, models: Sequence[Sequence[Term]]) -> None:
-        """Keep the noise models that matter beside any of ``models``, and those with no walk and hardly any turn-on."""
+        """Keep noise models that matter beside any of ``models`` or have no walk and hardly any turn-on; only once."""
         keep = (self._all.walk == 0) & (self._all.turn_on <= _HARDLY)
         for terms in models:
             log = self.by_noise(terms) + self.shapes.log_prior

@@ -68,8 +68,9 @@ class Augmented:
     def of(cls, evidence: Evidence, parts: Sequence[Part], weight: Floats | None = None) -> Self:
         """Return the states and effects of each gyro in the model of ``parts``, estimated from an evidence.
 
-        Tones keep the fit that was made before, without correlations. ``weight`` (G,) are the probabilities of the G
-        noise models; by default those beside the parts.
+        In the result effects come first, those shared by all gyros after the others, and tones last. Tones keep the fit
+        that was made before, without correlations. ``weight`` (G,) are the probabilities of the G noise models; by
+        default those beside the parts.
         """
         weight = evidence.noise_weight([part.term for part in parts]) if weight is None else weight
         posterior = evidence.posterior([part.term for part in parts], weight)

@@ -216,10 +216,10 @@ def _most_probable(
     A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open,
     and only as far as its form predicts better than any function of the same variables. ``left`` is the residual of a
     verification run if it contradicts the model, shows a larger error than its covariance allows, or if the gyros share
-    what is left; else None. An effect
-    is no more probable than its share of what it explains of that run's squared error and what is left there of its
-    kind: an effect that imitates another leaves such. That does not hold where the reference is another instrument,
-    whose own errors are in that run. Tones are seen as lines: they, and effects without a limit, have no entry.
+    what is left; else None. An effect is no more probable than its share of what it explains of that run's squared
+    error and what is left there of its kind: an effect that imitates another leaves such. That does not hold where the
+    reference is another instrument, whose own errors are in that run. Tones are seen as lines: they, and effects
+    without a limit, have no entry.
     """
     ratio = np.inf if errors.improvement is None else errors.improvement.ratio
     explained = 1 - ratio**-2 if ratio > 1 else 0.0

@@ -210,9 +210,9 @@ class Scan:
     def tuned(self, candidate: Candidate, best: int | None = None) -> Candidate:
         """Return a candidate at the value of its nonlinear parameter with the largest gain, near its best start value.
 
-        ``best`` is the number of that start value if it is known.
-        Its ``log_tries`` is the cost of the search: minus the logarithm of the share of the parameter's range that
-        would do as well. For a candidate ``by_size`` the value is its size and there is no cost.
+        ``best`` is the number of that start value if it is known. ``log_tries`` of the result is the cost of the
+        search: minus the logarithm of the share of the parameter's range that would do as well. For a candidate
+        ``by_size`` the value is its size and there is no cost.
         """
         start = candidate.start
         assert start is not None

@@ -263,8 +263,7 @@ class Search:
         """Return the effects that could give the same output as this one within chance, whatever their prior is.
 
         They have their names among rivals; laws of its own variables are not listed. ``terms`` are those of the model.
-        Empty for shared effects and tones; these and general dependences are no
-        copies.
+        Empty for shared effects and tones; these and general dependences are no copies.
         """
         if part.term.shared or part.tone is not None:
             return []

@@ -154,7 +154,7 @@ def beyond_noise(search: Search, found: Found) -> Unexplained | None:
 
 
 def faults_added(faults: Sequence[Fault]) -> list[Added]:
-    """Return faults of the data as effects of probability 1, one for each kind, with the gyros that show it.
+    """Return faults of the data as effects of probability 1, one for each kind, with the gyros and values that show it.
 
     Held samples are left out: they are searched for as an effect.
     """

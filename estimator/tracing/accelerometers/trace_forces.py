@@ -136,11 +136,12 @@ def _usable(recording: Recording) -> dict[str, ForceSamples]:
 def _trace(
     source: str, fitted: Sequence[Recording], judging: Sequence[Recording], samples: Mapping[int, ForceSamples]
 ) -> ForceFinding | None:
-    """Return what the accelerometers of one source lack; None if no fitted run has samples of them.
+    """Return what the accelerometers of one source lack; None if no fitted run has samples that can be used.
 
     ``samples`` are by the number of the recording, those that verify after those that are fitted. Only accelerometers
     that can be used in all of them count. At most ``_MOST`` effects are added, the most probable first, while one is
-    certain; recordings that are too short are left out with the reason.
+    certain; recordings that are too short are left out with the reason. If all fitted ones are, the finding has no
+    accelerometers.
     """
     names = _common_names(list(samples.values()))
     chosen = {place: _only(own, names) for place, own in samples.items()} if names else {}

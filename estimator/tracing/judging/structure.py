@@ -71,7 +71,8 @@ def with_structure(
     Whether an effect is missing is one question for all gyros; how much, one for each gyro. Draws with a larger error
     than the phases show are less likely. Where an effect is missing, the error of the first model is that of the last
     plus the measured difference of their squared residuals, since what is missing may be like what the models differ
-    in. ``first`` is the number of the first run, ``errors`` are by gyro. What gyros certainly share is no wander.
+    in. ``first`` is the number of the first run, ``errors`` are by gyro. Gyros without a phase of full blocks keep
+    theirs. What gyros certainly share is no wander.
     """
     drawn = dict(errors)
     shapes = {name: _shape(runs, first, models, name) for name in errors}

@@ -23,11 +23,11 @@ _PLAYS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of the range
 
 
 def flexible_laws(runs: Sequence[Run], offers: frozenset[str], gimbals: Sequence[str]) -> list[tuple[str, str]]:
-    """Return flexible laws, each with the kind of the constant {c} that is still to be found in it ("" for none).
+    """Return flexible laws as texts, with the kind of the constant {c} that is still to be found in each ("" for none).
 
-    A flexible law is a sum of terms that together follow any function of a variable. ``offers`` are the quantities
-    beside rates and times that all runs hold; without a temperature its laws are left out. ``gimbals`` are the axes of
-    the table to follow functions of. Laws without terms are left out, too.
+    A flexible law is a sum of terms that together follow any function of a variable, separated by "; ". ``offers`` are
+    the quantities beside rates and times that all runs hold; without a temperature its laws are left out. ``gimbals``
+    are the axes of the table to follow functions of. Laws without terms are left out, too.
     """
     size, speed = (_bends(name, _nodes_of_rate(name, runs)) for name in ("abs(u)", "speed"))
     decays = _each("expm1(-t/{})", _TAUS_S)
@@ -83,8 +83,9 @@ def _nodes_of_rate(name: str, runs: Sequence[Run]) -> list[float]:
 
 
 def _nodes(name: str, runs: Sequence[Run], count: int = _NODES) -> list[float]:
-    """Return ``count`` nodes at equal distances over the range of a variable in the runs; empty if it does not
-    vary.
+    """Return ``count`` nodes at equal distances over the range of a variable in the runs; empty if it does not vary.
+
+    They are whole multiples of their distance, above the lowest value and up to the highest.
     """
     low, high = _ends(name, runs)
     if not high > low:

@@ -65,8 +65,8 @@ def split_of(runs: Sequence[Run], rests: Sequence[Floats], model: Augmented) -> 
     """Return the split of the residuals of all runs into a part common to the gyros and their own, or None and the
     reason.
 
-    ``rests`` are the residuals (b, m) of each run under ``model``. None for fewer gyros than their axes need, or gyros
-    that rarely measure at the same time.
+    ``rests`` are the residuals (b, m) of each run under ``model``. None for no more gyros than their axes need, or
+    gyros that rarely measure at the same time. The reason is "" for a split.
     """
     names = [name for name in model.names if any(name in run.array.names for run in runs)]
     arw = np.array([model.arw[model.names.index(name)] for name in names])

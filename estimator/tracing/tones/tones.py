@@ -176,7 +176,7 @@ def fit_tone(found: ToneFound, runs: Sequence[Run], samples: Sequence[Samples], 
 
 
 def without_tone(fit: ToneFit, samples: Sequence[Samples]) -> list[Samples]:
-    """Return the samples with a tone subtracted."""
+    """Return new samples with a tone subtracted, by run; those given stay as they are."""
     cleaned = []
     for number, s in enumerate(samples):
         phase = 2 * np.pi * fit.found.frequency_hz * s.t_s
