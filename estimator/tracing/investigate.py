@@ -214,12 +214,12 @@ def _most_probable(
     """Return by the names of their candidates how probable effects that were added are at most.
 
     A law without a name has nothing but its predictions to support it, so it is certain only if nothing is left open,
-    and only as far as its form predicts better than any function of the same variables. ``left`` is the residual of a
-    verification run if it contradicts the model, shows a larger error than its covariance allows, or if the gyros share
-    what is left; else None. An effect is no more probable than its share of what it explains of that run's squared
-    error and what is left there of its kind: an effect that imitates another leaves such. That does not hold where the
-    reference is another instrument, whose own errors are in that run. Tones are seen as lines: they, and effects
-    without a limit, have no entry.
+    and if its error is likely to be like that of a law of known form; a flexible one only as far as that is likely.
+    ``left`` is the residual of a verification run if it contradicts the model, shows a larger error than its covariance
+    allows, or if the gyros share what is left; else None. An effect is no more probable than its share of what it
+    explains of that run's squared error and what is left there of its kind: an effect that imitates another leaves
+    such. That does not hold where the reference is another instrument, whose own errors are in that run. Tones are seen
+    as lines: they, and effects without a limit, have no entry.
     """
     ratio = np.inf if errors.improvement is None else errors.improvement.ratio
     explained = 1 - ratio**-2 if ratio > 1 else 0.0
@@ -228,7 +228,10 @@ def _most_probable(
     for part in certain:
         if part.candidate.law:
             open_to = 1.0 if verdict.leaves_nothing_open and left is None else _UNKNOWN
-            most[part.candidate.name] = min(open_to, max(1 - part.candidate.flexible * errors.formless, _UNKNOWN))
+            as_exact = 1 - errors.formless
+            if not part.candidate.flexible:  # its form was found among others: an even chance is enough
+                as_exact = 1.0 if as_exact > _UNKNOWN else _UNKNOWN
+            most[part.candidate.name] = min(open_to, max(as_exact, _UNKNOWN))
         elif part.tone is None and left is not None and not foreign:
             of_its_kind = (1 - explained) * left.share_of(part.candidate.effect.record.depends_on)
             most[part.candidate.name] = explained / max(explained + of_its_kind, 1e-9)

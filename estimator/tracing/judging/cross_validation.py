@@ -174,7 +174,7 @@ def judged(
     if after.parts:
         expected = expected_squares(runs, first, after)
         found = replace(found, understated=float(np.mean(squares > _TWICE**2 * expected)))
-    if any(candidate.flexible for candidate in candidates):
+    if any(candidate.law for candidate in candidates):
         expected = expected_squares(runs, first, after, forms_known=True)
         found = replace(found, formless=float(np.mean(squares > _LIKE**2 * expected)))
     return found

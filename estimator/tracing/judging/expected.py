@@ -13,8 +13,8 @@ def expected_squares(runs: Sequence[Run], first: int, model: Augmented, *, forms
     """Return the squared error, (rad/s)^2, that a model's covariance lets expect on runs, summed over blocks and gyros.
 
     Blocks with any weight count alike, those without weight do not count; nor do gyros that a run lacks. Noise is not
-    included. ``first`` is the number of the first of the runs among all. ``forms_known``: as if flexible laws were of
-    known form, that which was found, so that of each only the size is open. 0 without runs.
+    included. ``first`` is the number of the first of the runs among all. ``forms_known``: as if the laws without a
+    name, all together, were of known form, that which was found, so that only their size is open. 0 without runs.
     """
     total = 0.0
     for g, name in enumerate(model.names):
@@ -26,24 +26,21 @@ def expected_squares(runs: Sequence[Run], first: int, model: Augmented, *, forms
 
 
 def _with_forms_known(model: Augmented, gyro: int) -> Floats:
-    """Return the covariance (c, c) of the parameters of a gyro if flexible laws are of known form."""
+    """Return the covariance (c, c) of the parameters of a gyro if its laws are of known form."""
     directions = _open_directions(model, gyro)
     precision = np.linalg.inv(model.covariance[gyro])
     return np.asarray(directions @ np.linalg.inv(directions.T @ precision @ directions) @ directions.T)
 
 
 def _open_directions(model: Augmented, gyro: int) -> Floats:
-    """Return the directions (c, k) of a gyro's c parameters that are open if flexible laws are of known form.
+    """Return the directions (c, k) of a gyro's c parameters that are open if its laws are of known form.
 
-    These are each parameter of anything else, and for each flexible law its estimate, unless that is zero.
+    These are each parameter of anything but laws, and the estimate of all laws together, unless that is zero.
     """
-    laws = [model.slice_of(part.candidate.name) for part in model.parts if part.candidate.flexible]
     of_laws = np.zeros(len(model.mean[gyro]), dtype=np.bool_)
-    forms = []
-    for law in laws:
-        of_laws[law] = True
-        form = np.zeros(len(of_laws))
-        form[law] = model.mean[gyro, law]
-        if form.any():  # a gyro whose columns are zero has no form
-            forms.append(form)
-    return np.column_stack([np.eye(len(of_laws))[:, ~of_laws], *forms])
+    for part in model.parts:
+        if part.candidate.law:
+            of_laws[model.slice_of(part.candidate.name)] = True
+    form = np.where(of_laws, model.mean[gyro], 0.0)
+    others = np.eye(len(of_laws))[:, ~of_laws]
+    return np.column_stack([others, form]) if form.any() else others  # a gyro whose columns are zero has no form

@@ -50,7 +50,7 @@ class Judged:
 
     ``surprise``: what the last model leaves, in sigmas of chance. ``understated``: probability that its error is more
     than twice what its own covariance says. ``formless``: probability that it is more than half as much again as with
-    flexible laws of known form. Both are 0 without runs held back, and ``formless`` without such laws.
+    laws of known form. Both are 0 without runs held back, and ``formless`` without such laws.
     ``sharing``: what the gyros have in common in what it leaves of all runs.
     """
 
