@@ -61,7 +61,8 @@ def command_plan(arguments: argparse.Namespace) -> int:
         print_plan(plan, stdout(), early_late)
         print_planned_forces(of_forces, plan.bench.limits.forces)
         print_planned_mountings(of_mountings, bench.units)
-    return (Outcome.PASS if plan.reached.all() else Outcome.FAIL).exit_code
+    reached = plan.reached.all() and not any(one.missed(bench.limits.forces) for one in of_forces)
+    return (Outcome.PASS if reached else Outcome.FAIL).exit_code
 
 
 def early_late_plan(plan: Plan) -> Plan | None:

@@ -12,7 +12,7 @@ from estimator.recordings.recording import Recording
 from estimator.tracing.accelerometers.trace_forces import effect_sigmas
 from estimator.types import Floats
 from sims.physics.accelerometer import AccelerometerTruth
-from station.bench.bench import Bench
+from station.bench.bench import Bench, ForceLimits
 from station.bench.imu import ImuConfig
 from station.opening.simulate import DeviceTruth, SimulatedForces, simulate
 from station.scripts.script import Script
@@ -33,6 +33,11 @@ class PlannedForces:
     calibration: ForceCalibration
     notes: tuple[str, ...]
     effects: Mapping[str, Floats]
+
+    def missed(self, limits: ForceLimits) -> tuple[str, ...]:
+        """Return the names of the accelerometers whose sigmas exceed the limits, and "lever arm" if its sigma does."""
+        wide = [one.name for one in self.calibration.accelerometers if np.any(one.sd > limits.sds)]
+        return (*wide, "lever arm") if np.any(self.calibration.arm_sd_m > limits.sd_arm_m) else tuple(wide)
 
 
 def planned_forces(script: Script, bench: Bench) -> list[PlannedForces]:

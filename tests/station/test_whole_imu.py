@@ -112,10 +112,11 @@ def test_the_lever_arm_has_a_limit_of_its_sigma(
         judged = json.loads(capsys.readouterr().out)
         assert judged["outcome"] == outcome
         assert ("sigma of lever arm" in judged["reason"]) == (outcome == "FAIL")
-    main(["plan", "full-imu", "--bench", str(bench)])
+    bench = limited(tmp_path, f'sd_lever_arm = "{0.5 * widest_mm:.6f} mm"')
+    assert main(["plan", "full-imu", "--bench", str(bench)]) == 1  # the run would end FAIL
     (required,) = [line for line in capsys.readouterr().out.splitlines() if re.search(r"required +│? *-", line)]
     shown = [float(number) for number in re.findall(r"[0-9.]+", required)]
-    assert shown == pytest.approx([0.9 * widest_mm] * 3, rel=0.05)
+    assert shown == pytest.approx([0.5 * widest_mm] * 3, rel=0.05)
 
 
 def test_the_page_prepare_lists_the_limits_of_accelerometers(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ class Obstacle:
 class StartView:
     """What stands against a start.
 
-    ``missed`` are the gyros whose required sigmas the script does not reach. ``mounted``: a device of the tray is
+    ``missed`` are the sensors whose required sigmas the script does not reach. ``mounted``: a device of the tray is
     mounted, whose run starts by itself.
     """
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from estimator.calibration.accelerometer import AccelerometerCalibration
 from estimator.sensors.accelerometers import ACCELEROMETER
+from station.bench.bench import ForceLimits
 from station.opening.planned_forces import PlannedForces
 from station.views.json_values import json_object
 
@@ -23,21 +24,29 @@ class PlannedAccelerometer:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class PlannedForcesView:
-    """The accelerometers of a device, and by effect the least size of each of its parameters that is detected."""
+    """The accelerometers of a device, and by effect the least size of each of its parameters that is detected.
+
+    ``missed`` names the accelerometers, and the lever arm, that do not reach the required standard deviations.
+    """
 
     device: str
     accelerometers: tuple[PlannedAccelerometer, ...]
     detected: Mapping[str, tuple[float | None, ...]]
     notes: tuple[str, ...]
+    missed: tuple[str, ...] = ()
 
 
-def planned_forces_view(planned: PlannedForces) -> PlannedForcesView:
-    """Return the view of what a script shows of the accelerometers of a device, in SI; infinite numbers are None."""
+def planned_forces_view(planned: PlannedForces, limits: ForceLimits) -> PlannedForcesView:
+    """Return the view of what a script shows of the accelerometers of a device, in SI; infinite numbers are None.
+
+    ``limits`` are those of the bench.
+    """
     return PlannedForcesView(
         device=planned.device,
         accelerometers=tuple(map(planned_accelerometer, planned.calibration.accelerometers)),
         detected={name: tuple(json_object(DETECTED * sd)) for name, sd in planned.effects.items()},
         notes=planned.notes,
+        missed=planned.missed(limits),
     )
 
 

@@ -153,7 +153,7 @@ class EarlyLateView:
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class PlanView:
-    """What a script will show on a bench. ``reached``: no gyro misses a required standard deviation.
+    """What a script will show on a bench. ``reached``: nothing misses a required standard deviation.
 
     ``steady_conditions`` counts different rests and rates, ``saturated``: a rate is beyond the range of a gyro.
     ``version`` counts changes of the JSON object that break its readers.
@@ -179,8 +179,9 @@ class PlanView:
 
     @property
     def missed(self) -> list[str]:
-        """Names of the gyros that do not reach the required standard deviations."""
-        return [gyro.name for gyro in self.gyros if not gyro.reached]
+        """Names of the gyros, accelerometers and lever arms that do not reach the required standard deviations."""
+        gyros = [gyro.name for gyro in self.gyros if not gyro.reached]
+        return [*gyros, *(name for device in self.accelerometers for name in device.missed)]
 
     @property
     def accelerometer_sds(self) -> list[tuple[str, States]]:
@@ -214,14 +215,14 @@ def plan_view(
     accelerometers by device, ``mountings`` those for three mountings joined; their parts of the view are None or empty
     without. Infinite numbers become None.
     """
-    forecast = plan.forecast
+    forecast, limits = plan.forecast, plan.bench.limits.forces
     least_s, most_s = plan.script.span.least_s, plan.script.span.most_s
     return PlanView(
         script=plan.script.name,
         duration_s=least_s,
         longest_s=_finite(most_s),
         steps=_steps(plan),
-        reached=bool(plan.reached.all()),
+        reached=bool(plan.reached.all()) and not any(one.missed(limits) for one in forces),
         required=by_state(plan.required),
         gyros=_judged_gyros(plan),
         steady_conditions=forecast.steady_conditions,
@@ -231,7 +232,7 @@ def plan_view(
         alike=tuple(_pair(pair, forecast) for pair in forecast.pairs),
         assumed=Assumed(temperature_rise_k=plan.temperature_rise_k, warming_time_s=WARMING_TIME_S),
         early_late=None if early_late is None else early_late_view(early_late),
-        accelerometers=tuple(map(planned_forces_view, forces)),
+        accelerometers=tuple(planned_forces_view(one, limits) for one in forces),
         mountings=tuple(map(_mountings_view, mountings)),
     )
 
