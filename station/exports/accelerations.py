@@ -105,8 +105,9 @@ def left_out(exported: Exported, why: str) -> HeldForces:
 
 
 def lower_and_rotation(sensitivity: Floats) -> tuple[Floats, Floats] | None:
-    """Return a lower triangular matrix (3, 3), its diagonal positive, and a rotation; their product is ``sensitivity``.
+    """Return a lower triangular matrix (3, 3), its diagonal positive, and a rotation (3, 3).
 
+    The matrix times the rotation is ``sensitivity`` (3, 3).
     None if the rows of ``sensitivity`` are a left-handed triad.
     """
     q, r = np.linalg.qr(sensitivity.T)
@@ -152,8 +153,9 @@ def _why_refused(calibration: ForceCalibration, form: str, triad: bool) -> str:
 
 
 def _correction(calibration: ForceCalibration) -> ForceCorrection:
-    """Return the constants of accelerometers that span space: sensitivity, its pseudo-inverse, biases, effects of
-    force.
+    """Return the constants of accelerometers that span space: sensitivity, its pseudo-inverse, biases, effects.
+
+    Of these it has those that depend on the specific force alone.
     """
     sensitivity = sensitivity_of(calibration.accelerometers)
     of_force = [effect for effect in calibration.effects if BY_NAME[effect.name].of_force]

@@ -23,8 +23,7 @@ FORMAT_VERSION = 1
 def write_investigation(
     path: Path, investigation: Investigation, answer: Mapping[str, Any], forces: Sequence[ForceFinding] = ()
 ) -> None:
-    """Write group /investigation: the JSON object ``answer`` as its attribute ``json``, states, and residuals by run
-    and gyro.
+    """Write group /investigation: ``answer`` as its attribute ``json``, states, and residuals by run and gyro.
 
     Group ``spectrum`` holds by gyro the densities (rad/s)^2/Hz at ``frequency_hz`` of the residual of the fitted
     recordings, before and after, and of the noise model; ``spectrum_verification`` those of the verification run. The

@@ -121,9 +121,9 @@ def terms_of(compensation: Compensation) -> Terms:
 
 
 def _of_law(law: str, places: int) -> tuple[str, int]:
-    """Return the expression of a law's contribution to gyro ``i``, and the count of state variables used up to now.
+    """Return the expression of a law's contribution to gyro ``i``, and the next free place for a state variable.
 
-    Functions with memory (lag, play, last) take state variables, counted from ``places``. Placeholders in braces stand
+    Functions with memory (lag, play, last) take state variables, from ``places`` on. Placeholders in braces stand
     for what differs between languages.
     """
 

@@ -31,8 +31,9 @@ class Written:
 
 
 def number(value: float, digits: int = 17) -> str:
-    """Return a number as C and Python read it; 17 significant digits restore a double, 9 a float. UsageError if not
-    finite.
+    """Return a number as C and Python read it, always with a point or exponent; UsageError if it is not finite.
+
+    17 significant digits restore a double, 9 a float.
     """
     if not np.isfinite(value):
         raise UsageError(_NOT_FINITE)

@@ -63,9 +63,7 @@ def _motion(plan: Plan, width: int) -> Iterator[Shown]:
 
 
 def open_steps(script: Script) -> str:
-    """Return a sentence on the steps of unknown duration, for which the plan assumes the least; empty if there are
-    none.
-    """
+    """Return a sentence on the steps of unknown duration, for which a plan assumes the least; "" if there are none."""
     steps = [
         f"{timed.step.label}: {seconds_between(timed.span.least_s, timed.span.most_s)}"
         for timed in script.timeline()

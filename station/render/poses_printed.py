@@ -21,8 +21,9 @@ _HEADS = ["parameter", "value", "U (95 %)", "unit"]
 
 
 def print_pose_session(session: PoseSession) -> None:
-    """Print a calibration by poses: parameters, refused rests, then gyros, board and stated frame where it has them,
-    notes.
+    """Print a calibration by poses: parameters, refused rests, then notes.
+
+    Before these come gyros, board and the twelve states in the stated frame, where it has them.
     """
     result = session.accelerometer
     rows = [[own.name, own.value, own.u95, own.unit] for own in parameter_rows(result)]

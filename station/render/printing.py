@@ -37,7 +37,7 @@ def print_result(
     details: bool,
     sources: "Sequence[SourceReport]" = (),
 ) -> None:
-    """Print the result of a run or recording: the verdict, the states in these units, and the next steps.
+    """Print the result of a run or recording: verdict, states in these units, accelerometers, and the next steps.
 
     With ``details`` also every broken limit, the origin of the sigmas, the noise, notes, and for each of ``sources``
     its samples, losses and clock. ``calibration`` may be None.
@@ -106,7 +106,7 @@ def result_object(verdict: Verdict, recording: str, calibration: Calibration | N
 def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
     """Return the parity checks by gyro, with its source before its name where two have one name.
 
-    Each has rms and worst deviation in sigmas, and whether the gyro is suspect.
+    Each has "rms_sigma" and "worst_sigma", deviations in sigmas, and whether the gyro is "suspect".
     """
     alike = Counter(check.name for check in checks)
     keys = [check.name if alike[check.name] == 1 else f"{check.source} {check.name}" for check in checks]
@@ -117,7 +117,7 @@ def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
 def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
     """Return a gyro for --json: states, sigmas, budget, noise, and its effects.
 
-    ``effects`` has by effect and parameter the value, its sd and its unit; it is missing if there are none.
+    ``effects`` has by effect and parameter a list of value, sd and unit; it is missing if there are none.
     """
     effects: dict[str, dict[str, list[float | str]]] = {}
     for value in gyro.effects:

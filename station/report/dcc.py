@@ -76,7 +76,7 @@ def sign(xml: bytes, key: Path, certificate: Path) -> bytes:
     """Return the certificate ``xml`` with an enveloped XAdES signature by the key in the file ``key``.
 
     The line that names a stylesheet for browsers stays in the result, but is not signed. UsageError as ``read_key``,
-    or if the result is not valid by the schema.
+    or if the result is not valid by the schema; without the packages, which ``read_key`` checks, an ImportError.
     """
     from signxml.xades.xades import XAdESDataObjectFormat, XAdESSigner
 

@@ -84,8 +84,7 @@ def plain(value: float, unit: Unit, digits: int = 3, source: str | None = None) 
 
 
 def interval(value: float, low: float, high: float, unit: Unit, place: str) -> Markup:
-    """Return ``value``, a term of the noise at rest, with its interval from ``low`` to ``high``; "at most" ``high`` if
-    ``low`` is 0.
+    """Return ``value``, a term of the noise at rest, with its interval; "at most" ``high`` if ``low`` is 0.
 
     ``place`` is the index in the datasets of the calibration.
     """

@@ -64,8 +64,7 @@ class Formal:
 
     @property
     def overdue(self) -> tuple[Equipment, ...]:
-        """Instruments whose calibration had expired on the date of measurement, or has no stated expiry and no reason
-        for that.
+        """Instruments whose calibration had expired on the date of measurement, or states neither expiry nor why not.
 
         Without a date of measurement no stated date counts as expired.
         """

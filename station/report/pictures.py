@@ -304,7 +304,7 @@ def draw_investigation(path: Path, investigation: Investigation) -> None:
 def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
     """Draw a gyro's residual before and after into panels: over time, rate, with ``warm`` temperature, and as spectra.
 
-    Over time it is means of stretches. A gyro without temperatures leaves that panel empty. Bands are ± 2 sigma.
+    ``row`` has all of these. Over time it is means of stretches. Unknown temperatures leave an empty panel.
     """
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))

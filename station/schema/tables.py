@@ -102,8 +102,9 @@ class Table(StrictTable):
 
 
 def known_in(known: Registry[T]) -> Callable[[str, Path], T]:
-    """Return a converter from the name of a record to the record; its ValueError lists the known names and the
-    nearest.
+    """Return a converter from the name of a record, and a folder that it ignores, to the record.
+
+    Its ValueError lists the known names and the nearest.
     """
 
     def record(name: str, _: Path) -> T:

@@ -55,10 +55,11 @@ def write_px4(exported: Exported) -> Written:
 
 
 def write_ardupilot(exported: Exported) -> Written:
-    """Return the parameters of ArduPilot's gyro number ``exported.instance`` (0 to 2), in the format of its ground
-    stations.
+    """Return the parameters of ArduPilot's IMU number ``exported.instance`` (0 to 2), for its ground stations.
 
-    The offsets are those at the mean temperature of the calibration, if they depend on it. UsageError for other
+    These are offsets and temperature coefficients of the gyros, and, if they were exported, offsets and scales of the
+    accelerometers. The gyros' offsets are those at the mean temperature of the calibration, if they depend on it.
+    UsageError for other
     numbers, or unless there are three gyros along x, y and z.
     """
     held, values = _bias_only(exported, "ArduPilot", 3)

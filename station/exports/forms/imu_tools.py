@@ -44,8 +44,9 @@ def write_imu_tk_gyro(exported: Exported) -> Written:
 
 
 def _imu_tk_axes(forces: HeldForces) -> Floats:
-    """Return the rotation (3, 3) from the body to the axes in which the correction of the accelerometers is upper
-    triangular with positive diagonal; UsageError for a left-handed triad.
+    """Return the rotation (3, 3) from the body to the axes that the accelerometers set.
+
+    In these their correction is upper triangular with positive diagonal. UsageError for a left-handed triad.
     """
     q, r = np.linalg.qr(forces.held.solution)
     rotation = (q * np.sign(np.diag(r))).T

@@ -86,7 +86,10 @@ def write_csv(exported: Exported) -> Written:
 
 
 def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
-    """Return the values of gyro number ``i`` as texts by heading: axes, states, sensitivity, noise, effects."""
+    """Return the values of gyro number ``i`` as texts by heading: names, axes, states, sensitivity, noise, effects.
+
+    States and effects have their sigmas beside them. UsageError for a number that is not finite.
+    """
     array, gain = exported.compensation.array, exported.compensation.sensitivity
     values = {f"{a}_{part}": x for a in "pjk" for part, x in zip("xyz", getattr(array, a)[i], strict=True)}
     for key, unit, state, sd in zip(STATES, GYRO.units, gyro.states, gyro.sd, strict=True):

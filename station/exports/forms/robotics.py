@@ -76,7 +76,7 @@ def _chain(exported: Exported, form: str, called: str) -> Written:
 def _forces(exported: Exported, called: str) -> tuple[HeldForces, dict[str, object]]:
     """Return what a model of a lower triangular matrix and a rotation holds of the accelerometers, and its values.
 
-    There are no values without accelerometers to export, or if they are left-handed, which a line then says. Places
+    The values are empty without accelerometers to export, or if they are left-handed, which a line then says. Places
     count from the first accelerometer, and are zero if unknown. ``called`` names the format.
     """
     forces = held_forces(exported, called, triad=True)

@@ -91,8 +91,8 @@ def _header(exported: Exported, real: str, prefix: str) -> Written:
 def _macros(exported: Exported) -> list[tuple[str, str, str]]:
     """Return (name behind the prefix, value, meaning) of the macros that a program may check.
 
-    Identity first, then validity: the conditions of the calibration. Unknown figures are left out, so that a check of
-    them does not compile.
+    Identity first, as quoted texts, "" for what is unknown; then validity, the conditions of the calibration, as
+    numbers in brackets. Unknown numbers are left out, so that a check of them does not compile.
     """
     texts = {
         "DEVICE": ("device", "device under test"),
@@ -159,12 +159,11 @@ def _force_vectors(force: ForceCorrection, module: Mapping[str, Any]) -> tuple[F
 
 
 def _vectors(exported: Exported, terms: Terms, module: Mapping[str, Any]) -> tuple[Floats, Floats]:
-    """Return test inputs (8, n + 5) of n gyros over the conditions of the calibration, and their results (8, 3) in
-    rad/s.
+    """Return test inputs (8, n + 5) of n gyros over the conditions of the calibration, and their results (8, 3).
 
-    Inputs: outputs in rad/s, specific force in m/s2 (3), temperature in degC, time step in s. The results are those of
-    the Python ``module``, row after row with one state. An unknown temperature is ``REFERENCE_C``, an unknown sampling
-    rate 100 Hz.
+    Inputs: outputs in rad/s, specific force in m/s2 (3), temperature in degC, time step in s. The results, in rad/s,
+    are those of the Python ``module``, row after row with one state. An unknown temperature is ``REFERENCE_C``, an
+    unknown sampling rate 100 Hz.
     """
     correct = module["Correction"]().correct if terms.keeps_state else module["correct"]
     held, seen, turns = exported.compensation, exported.seen, np.outer(np.arange(8), (1.0, 1.7, 2.3))

@@ -61,7 +61,7 @@ def _effects_table(finding: ForceFinding) -> Table:
 
 
 def _errors_table(finding: ForceFinding) -> Table:
-    """Return a row for each accelerometer: rms error before and after in ug, and their ratio.
+    """Return a row for each accelerometer: rms error before and after in ug, and how many times smaller it is.
 
     The title says whether the errors are those of verification runs or of the fitted ones.
     """

@@ -51,9 +51,9 @@ def _sigmas(planned: PlannedForces, limits: ForceLimits) -> Table:
 
 
 def _effects(planned: PlannedForces) -> Table:
-    """Return the smallest size of each parameter of an effect that a run detects, beside the largest plausible one.
+    """Return a row for each parameter of each effect: smallest size that a run detects, largest plausible one, unit.
 
-    "not shown" where the former is the larger.
+    "not shown" where the former is not the smaller. Sizes are rms over the accelerometers.
     """
     rows = []
     for name, sd in planned.effects.items():

@@ -26,7 +26,7 @@ def print_forces(forces: Sequence[ForceCalibration], *, details: bool) -> None:
     """Print the accelerometers of each source, and which are not calibrated.
 
     Places, effects, delay and gravity are printed if they are known. With ``details`` also the sources of uncertainty
-    and what does not depend on the mounting.
+    and what does not depend on the mounting. A source without calibrated accelerometers has none of these.
     """
     for one in forces:
         shown: list[Shown] = []
@@ -76,7 +76,7 @@ def _places_table(calibration: ForceCalibration) -> Table:
 
 
 def _effects_table(calibration: ForceCalibration) -> Table:
-    """Return a row for each parameter of the effects of the model: its value in each accelerometer, with its sd."""
+    """Return a row for each parameter of the effects of the model: name, unit, then value and sd by accelerometer."""
     heads = ["\neffect", "\nunit"]
     for accelerometer in calibration.accelerometers:
         heads += [f"{escape(accelerometer.name)}\nvalue", "±"]
@@ -110,7 +110,10 @@ def _lines(calibration: ForceCalibration) -> list[str]:
 
 
 def _intrinsic_table(calibration: ForceCalibration) -> Table:
-    """Return sensitivities, offsets and angles with their standard deviations; the mounting does not change them."""
+    """Return a row for each sensitivity, offset and angle, with standard deviation and unit.
+
+    The mounting does not change them.
+    """
     found = calibration.intrinsic
     rows = []
     for place, name in enumerate(found.names):

@@ -84,9 +84,9 @@ def _table(view: ChartView, figure: StateUnit, places: Sequence[_Place]) -> Tabl
 
 
 def _row(view: ChartView, place: _Place) -> list[str]:
-    """Return the name of a gyro, and of one state: mean, limits, last value, moving average, its limit, and zones.
+    """Return eight texts: name of a gyro, mean, lower and upper limit, last value, moving average, its limit, zones.
 
-    Values are in the unit of ``place.figure``; the zones are a letter for each of the latest 40 runs.
+    Values are of one state, in the unit of ``place.figure``; the zones are a letter for each of the latest 40 runs.
     """
     chart = view.chart
     at = place.gyro, place.state
@@ -104,9 +104,9 @@ def _row(view: ChartView, place: _Place) -> list[str]:
 
 
 def _zone(view: ChartView, place: _Place, run: int) -> str:
-    """Return the letter of the zone in which a run lies, a third of the limit each, in lower case below the mean.
+    """Return the letter of the zone in which a run lies: from the mean "C", "B", "A", a third of the limit each.
 
-    "!" outside the limits.
+    It is in lower case below the mean and on it, and "!" outside the limits.
     """
     chart = view.chart
     at = place.gyro, place.state

@@ -72,9 +72,9 @@ def _view(turn: "Round") -> InvestigationView:
 
 
 def loop_object(loop: "Loop") -> dict[str, Any]:
-    """Return the result of a loop for --json: the last investigation, and the rounds and runs that led to it.
+    """Return the result of a loop for --json: the keys of the last investigation, and "rounds" and "runs", two lists.
 
-    Further keys are the folder, the minutes on the table that were used and allowed, and why it ended.
+    Further keys are "folder", "minutes_used" and "minutes" (allowed) on the table, and "ended", which says why.
     """
     last = loop.rounds[-1]
     fitted = [str(path) for path in loop.recordings(judging=False)]
@@ -91,7 +91,7 @@ def loop_object(loop: "Loop") -> dict[str, Any]:
 
 
 def runs_object(loop: "Loop") -> list[dict[str, Any]]:
-    """Return the runs of a loop for --json: purpose, time on the table in s, script, recording and outcome."""
+    """Return the runs of a loop for --json: "purpose", "table_s", "script", "recording", "outcome" and "reason"."""
     return [
         {
             **named(run, ("purpose", "table_s")),
@@ -105,7 +105,7 @@ def runs_object(loop: "Loop") -> list[dict[str, Any]]:
 
 
 def _round_object(turn: "Round") -> dict[str, Any]:
-    """Return one round of a loop for --json: its runs, the result of the investigation, and the script to drive next.
+    """Return one round of a loop for --json: how many runs it had, and of its investigation the keys in ``_KEPT``.
 
     ``next_name`` and ``next_probability``, with which that script decides between rivals, are None if none follows.
     """

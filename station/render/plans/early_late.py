@@ -13,7 +13,10 @@ from station.views.figures import state_figures
 
 
 def print_early_late(asked: Plan, offered: Plan, path: Path, console: Console) -> None:
-    """Print the sigmas of a script that turns each axis early and late, beside those of the asked one, and its file."""
+    """Print the sigmas of a script that turns each axis early and late, beside those of the asked one.
+
+    What it proves of the constancy, and its file, follow.
+    """
     file_line = escape(f"script: {path}   (station run --script {path})")
     shown: list[Shown] = [
         (beside_table(asked, offered), {}),

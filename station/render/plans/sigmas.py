@@ -22,9 +22,7 @@ _UNOBSERVABLE = "Errors in these proportions have no effect in this script; only
 
 
 def verdict_line(plan: Plan) -> Shown:
-    """Return whether the plan reaches the sigmas that the bench requires, and which gyros miss them; or that none are
-    required.
-    """
+    """Return whether the plan reaches the sigmas that the bench requires, which gyros miss them, or that none are."""
     if not requires_sigmas(plan):
         return line(_NOTHING_REQUIRED)
     gyros = zip(plan.forecast.gyros, plan.reached, strict=True)

@@ -89,7 +89,7 @@ def closing_view(
 
 
 def _source(name: str, data: ImuData, attributes: Mapping[str, Any]) -> list[Content]:
-    """Return the row of a source: samples, rate, temperatures, losses and clock.
+    """Return the row of a source, a cell for each of ``_SOURCE_HEADS``, its name first.
 
     ``attributes`` are those of the source in the recording; figures that it lacks are dashes, but no stated loss
     counts as 0. The share of lost samples is one of all samples, lost ones included.
@@ -126,9 +126,10 @@ def _count(attributes: Mapping[str, Any], key: str, where: str) -> Content:
 
 
 def _clock(attributes: Mapping[str, Any], key: str, unit: Unit, where: str) -> Content:
-    """Return a property of a clock, with its standard deviation if that is stored; ``_UNKNOWN`` if it is not.
+    """Return a property of a clock in ``unit``, with its standard deviation if stored; ``_UNKNOWN`` if not stored.
 
-    ``where`` is the place of the attributes in the recording, to which each figure of the report refers.
+    The standard deviation of ``time_offset_s`` is ``time_offset_sd_s``. ``where`` is the place of the attributes in
+    the recording, to which each figure of the report refers.
     """
     if key not in attributes:
         return _UNKNOWN
@@ -147,10 +148,10 @@ def _event(event: Event, start_ns: int) -> list[Content]:
 def _software(
     recorded: Recorded, traced: Traced | None, hashes: Mapping[str, str], made_with: str, *, simulated: bool
 ) -> list[tuple[str, Content]]:
-    """Return versions, files and hashes that identify how the document was made; None where a fact is missing.
+    """Return nine (label, content) on how the document was made: versions, files, hashes, and the seed.
 
-    ``hashes`` and ``made_with`` as for ``closing_view``; the seed is left out unless the run was ``simulated``, and an
-    investigation unless it is in a file of its own.
+    ``hashes`` and ``made_with`` as for ``closing_view``. The content is None for a hash that is missing, for the seed
+    unless the run was ``simulated``, and for an investigation unless it is in a file of its own.
     """
     version = recorded.text("software_version")
     apart = traced is not None and "investigation" in hashes
@@ -174,7 +175,7 @@ def _hash(text: str) -> Content:
 def _signatures(recorded: Recorded, formal: Formal) -> Table:
     """Return the rows to be signed by the operator and by who approves; blanks to fill in where a name is missing.
 
-    The only date is the stated one of issue, beside the approval.
+    The columns are role, name, date and signature. The only date is the stated one of issue, beside the approval.
     """
     operator = recorded.text("operator") or _BLANK
     approved_by = formal.certificate_approved_by or _BLANK

@@ -104,7 +104,8 @@ def _direction(axis: Floats) -> Markup:
 def _device(correction: Correction, title: str, states: States, origin: str) -> DeviceView:
     """Return the correction of one device, with the effects that it cannot undo and its code in Python.
 
-    ``origin`` and ``title`` stand at the top of the code.
+    ``origin`` and ``title`` stand at the top of the code. Effects are None if there are none; a delay of 0 is
+    empty.
     """
     compensation = correction.compensation
     delay_s = compensation.delay_s

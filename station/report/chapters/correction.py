@@ -80,7 +80,7 @@ def _by_device(gyros: Sequence[GyroCalibration]) -> dict[str, list[GyroCalibrati
 
 
 def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibration:
-    """Return the gyro ``label`` with the states and effects of the investigation, which must hold a model.
+    """Return the gyro ``label`` with the states and effects of the investigation, which must hold it and a model.
 
     An effect that the investigation does not have for this gyro is 0. The effects have no uncertainty, and the states
     keep that of ``gyro``.
@@ -224,7 +224,11 @@ def _called(name: str, inner: str, constant: str) -> str:
 
 
 def _tables(correction: Correction, code: str) -> dict[str, Floats]:
-    """Return the arrays that ``code`` needs, by their names in it; of gyros that do not span space a gain each."""
+    """Return the arrays that ``code`` needs, by their names in it.
+
+    Always there are the biases (n,), and the sensitivities (n, 3) or, of gyros that do not span space, the gains (n,).
+    The others are axes (n, 3), and the values of each effect (n, parameters).
+    """
     compensation = correction.compensation
     tables = {"BIAS_RPS": compensation.bias_rps}
     if correction.axes_only:

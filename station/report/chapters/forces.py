@@ -92,7 +92,7 @@ def _headed(symbol: Markup, figure: StateUnit) -> Markup:
 
 
 def _states(calibration: ForceCalibration) -> ForceTable:
-    """Return the table of the states, a row for each accelerometer, with expanded uncertainties."""
+    """Return the table of the states, a row for each accelerometer: each value with its expanded uncertainty."""
     figures = fitted_forces(calibration)
     heads = ["accelerometer"]
     for symbol, figure in zip(SYMBOLS, figures, strict=True):
@@ -103,7 +103,7 @@ def _states(calibration: ForceCalibration) -> ForceTable:
 
 
 def _effects(calibration: ForceCalibration) -> ForceTable:
-    """Return a row for each parameter of the effects of the model: its value in each accelerometer, and U."""
+    """Return a row for each parameter of the effects of the model: name, unit, then value and U by accelerometer."""
     heads = ["effect", "unit"]
     for accelerometer in calibration.accelerometers:
         heads += [accelerometer.name, "U"]
@@ -133,7 +133,10 @@ def _places(calibration: ForceCalibration) -> ForceTable:
 
 
 def _intrinsic(calibration: ForceCalibration) -> ForceTable:
-    """Return sensitivities, offsets and angles with U, the nine parameters that another laboratory can reproduce."""
+    """Return a row for each sensitivity, offset and angle between two axes, which another laboratory can reproduce.
+
+    It has the value, U and the unit; three accelerometers have nine rows.
+    """
     found = calibration.intrinsic
     rows = []
     for place, name in enumerate(found.names):

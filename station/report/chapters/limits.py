@@ -72,7 +72,10 @@ def _table(lines: Sequence[LimitLine], *, guarded: bool) -> Table:
 
 
 def _row(line: LimitLine | None, line_of_u: LimitLine | None, *, guarded: bool) -> list[Content]:
-    """Return the cells of a quantity: its value, limit and verdict, then those of its u; one of the two may be None."""
+    """Return name and unit of a quantity, value, limit and verdict, then those of its u; one of the two may be None.
+
+    With ``guarded`` there are nine cells instead of eight: how far values are accepted follows the first limit.
+    """
     known = line or line_of_u
     assert known is not None
     quantity = quantity_of(known)

@@ -104,7 +104,7 @@ def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
 
 
 def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Sequence[int]) -> DeviceSummary:
-    """Return the summary of the device ``name``, whose gyros are ``rows`` of the calibration.
+    """Return the summary of the device ``name``, whose gyros are ``rows`` of the calibration; "" for no verdict.
 
     If the run failed, it is PASS nevertheless when only limits of other devices are broken, and none of the run.
     """
@@ -148,7 +148,7 @@ def _figures(gyro: GyroCalibration, row: int, state: int, unit: Unit) -> list[Ma
 
 
 def _states_table(recorded: Recorded, calibration: Calibration, states: States) -> Table:
-    """Return value, standard and expanded uncertainty of each state of each gyro."""
+    """Return a group of rows for each gyro, a row for each state: value, standard and expanded uncertainty, unit."""
     heads = [
         "gyro",
         "quantity",

@@ -111,7 +111,7 @@ class Driven:
 
 
 def driven_step(table: TableReadings, step: Step) -> Driven:
-    """Return the motion in one step, reconstructed from the readings; nothing if it took no time.
+    """Return the motion in one step, reconstructed from the readings; neither turn nor rest if it took no time.
 
     The turn is that of the fastest axis, about no other axis, by a trapezoid of the rate. Rates (per second) and turns
     are rounded to 0.01 deg. A motion that the readings do not resolve, or that ends where it began, counts as rest.
@@ -165,7 +165,7 @@ def _temperature(recorded: Recorded, t_s: Floats) -> Floats | None:
 def _noise(calibration: Calibration, source: str, data: ImuData) -> NoiseModel:
     """Return the noise of a source: the mean of its gyros' estimated noise, else that of the data sheet.
 
-    Without either, white noise is derived from the noise of a sample; without gyros it has a usual size.
+    Without either, white noise is derived from the noise of a sample; without gyros it is 1e-4 rad/s/rtHz.
     """
     own = [gyro for gyro in calibration.gyros if gyro.source == source]
     models = [gyro.noise.mean for gyro in own if gyro.noise is not None]
@@ -273,9 +273,10 @@ def _hidden_table(unseen: Unseen, effects: Sequence[tuple[EffectForecast, Floats
 
 
 def _hidden_row(unseen: Unseen, effect: EffectForecast, shifts: Floats) -> list[Content]:
-    """Return the row of an effect: smallest size detected, largest plausible size, shift of the states, what shows it.
+    """Return the five cells of an effect: name, smallest size detected, largest plausible, shift, what shows it.
 
-    ``held by the budget`` stands in place of the shift if the uncertainty budget includes the effect.
+    ``shifts`` (4,) are those of the states in sigmas. ``held by the budget`` stands in place of the shift if
+    the uncertainty budget includes the effect.
     """
     budgeted = effect.effect.name in unseen.budgeted
     return [
