@@ -36,8 +36,9 @@ COMMANDS: dict[str, dict[str, Any]] = _TYPED["commands"]
 
 
 class _Forms:
-    """Names of the export formats, those of packages included, as choices; any name is accepted, as a file may provide
-    it.
+    """Names of the export formats, those of packages included, as choices.
+
+    Any name is accepted, as a file may provide it.
     """
 
     def __contains__(self, name: object) -> bool:

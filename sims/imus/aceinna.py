@@ -123,8 +123,9 @@ class AceinnaDevice:
             self._send(aceinna.ACKNOWLEDGEMENT, bytes([1, 0xFF, 0xFF, 0xFF, host]) + wanted)
 
     def _set(self, group: int, values: bytes) -> None:
-        """Store ``values`` as the setting of a parameter group if the device has it and they are valid; ignore it
-        otherwise.
+        """Store ``values``, without the address before them, as the setting of a parameter group.
+
+        A group that is no setting, and values that are not valid, are ignored.
         """
         if group == aceinna.RATE_DIVIDER:
             good = len(values) == 1 and values[0] in aceinna.DIVIDERS

@@ -21,8 +21,7 @@ class CanNodes:
     """Sends the messages of each channel regularly, and once a second those that carry only a temperature."""
 
     def __init__(self, setup: ImuTwinSetup, bus: FrameSink) -> None:
-        """Prepare a node for each channel of ``setup.signals``; the gyros of the device are given to them in their
-        order.
+        """Prepare a node for each channel of ``setup.signals``, to which the gyros are given in their order.
 
         DeviceError for a DBC that cannot be read, or a signal that it lacks.
         """
@@ -42,8 +41,8 @@ class CanNodes:
     async def serve(self) -> None:
         """Send the messages of all channels at the rate of ``setup`` until cancelled.
 
-        Rates are limited to 2000 deg/s. Faults leave samples out, send them twice or change rates. A temperature is
-        computed only when it is sent.
+        Rates are limited to 2000 deg/s. Faults leave samples out, send them twice or change rates. A temperature in a
+        message of its own is computed and sent once a second.
         """
         loop = asyncio.get_running_loop()
         device_s, start = 0.0, loop.time()
@@ -107,9 +106,7 @@ class _Node:
     """One channel: its messages in the order of their priority on the bus."""
 
     def __init__(self, signals: ChannelSignals, gyros: slice) -> None:
-        """Prepare the messages of ``signals``, all values at 0; ``gyros`` selects this channel's gyros of the
-        device.
-        """
+        """Prepare the messages of ``signals``, all values at 0; ``gyros`` selects those of this channel."""
         self.gyros = gyros
         self._signals = signals
         by_key: dict[tuple[int, bool], Any] = {signal.key: signal.message for signal in signals.all}

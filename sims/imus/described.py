@@ -10,9 +10,7 @@ from sims.wires.frames import ImuTwinSetup
 
 
 class DescribedDevice(CanNodes):
-    """Measures all the time; sends from when it has received the complete start phrase until it receives the stop
-    phrase.
-    """
+    """Measures all the time; sends from the end of the start phrase until it receives the stop phrase."""
 
     def __init__(self, setup: ImuTwinSetup, write: Callable[[bytes], None]) -> None:
         """Prepare for the ``Description`` in ``setup.signals``; it sends at once if that has no start phrase."""

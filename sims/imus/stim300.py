@@ -44,8 +44,7 @@ class Stim300Device(LineDevice):
         cold: bool = False,
         seed: int = 0,
     ) -> None:
-        """Prepare a device at the rate of the gyros; ValueError for an unknown datagram ``identifier``. Upright by
-        default.
+        """Prepare a device at the rate of the gyros, upright by default; ValueError for an unknown ``identifier``.
 
         ``gyro_unit`` is a name of ``UNITS``; ``seed`` is that of samples dropped and doubled by faults. A ``cold``
         device, or any but the first of several, is powered on when served: it sends its part number and the like, and
@@ -98,8 +97,9 @@ class Stim300Device(LineDevice):
             self._utility(line)
 
     async def serve(self) -> None:
-        """Send datagrams and answers in bursts until cancelled; no datagrams outside normal mode. Each states how late
-        it is.
+        """Send datagrams, each of which states how late it is, and answers in bursts until cancelled.
+
+        Outside normal mode it sends neither.
         """
         loop = asyncio.get_running_loop()
         start, sent = loop.time(), 0
@@ -163,9 +163,9 @@ class Stim300Device(LineDevice):
     def _datagrams(self, raw: Ints, status: Ints, ticks: Ints, force_g: Floats, t_s: float, late_s: float) -> bytes:
         """Return the bytes of n datagrams, with the groups of the present layout.
 
-        ``raw`` (n, 3) and ``status`` (n,) are of the gyros, ``force_g`` (n, 3) serves accelerometers and inclinometers.
-        ``t_s`` is the instant of the temperature, which is marked as invalid if there is none; ``late_s`` the latency
-        to state.
+        ``raw`` (n, 3) and ``status`` (n,) are of the gyros, ``ticks`` (n,) the device's count at 2000 Hz, ``force_g``
+        (n, 3) serves accelerometers and inclinometers. ``t_s`` is the instant of the temperature, which is marked as
+        invalid if there is none; ``late_s`` the latency to state.
         """
         own = self.settings
         n = len(raw)

@@ -116,8 +116,7 @@ class VectorNavDevice:
         self._wake_up()
 
     def _measured(self, at: Floats) -> Floats:
-        """Return all measured values (n, 17) at instants ``at`` (n,) in s, in the columns named at the top of the
-        module.
+        """Return all measured values (n, 17) at instants ``at`` (n,) in s, in the columns named above.
 
         Stuck, clipped and spoilt gyros show in the raw rates; the compensated ones are the raw ones with the register's
         bias and matrix applied. Magnetic field and pressure are constant.
@@ -155,8 +154,7 @@ class VectorNavDevice:
         return b"".join(data * times for (_, data), times in zip(sent, copies.tolist(), strict=True))
 
     def _periodic(self) -> list[tuple[int, Callable[[Floats, Ints], list[bytes]]]]:
-        """Return the active outputs, each as its period in ticks of 800 Hz and a function that encodes rows at given
-        times.
+        """Return the active outputs, each as its period in ticks of 800 Hz and a function that encodes rows.
 
         Binary outputs count if they are for serial port 1 and have a divisor; the ASCII output if its type is not 0.
         The function takes measured values (n, 17) and device times (n,) in ns.
@@ -218,8 +216,9 @@ class VectorNavDevice:
         return _frames(layout, self._last[None], np.array([self._tick * _TICK_NS - self._zero_ns]))[0]
 
     def _read(self, command: vectornav.Sentence) -> vectornav.Sentence:
-        """Return the reply to a read of a register: the last measured values, the identity or a setting; Refused for
-        others.
+        """Return the reply to a read of a register: the last measured values, the identity or a setting.
+
+        Refused for any other register.
         """
         register = _number(_exactly(1, command.fields)[0])
         if register in _COLUMNS:

@@ -36,10 +36,9 @@ _HARDWARE = bytes([2, 0])
 
 
 class XsensDevice:
-    """An MTi that measures since it was switched on; sends in bursts of about 10 ms, as an operating system hands them
-    over.
+    """An MTi that measures since it was switched on, and sends in bursts of about 10 ms.
 
-    The knobs of ``faults`` may be turned at any time.
+    So an operating system hands them over. The knobs of ``faults`` may be turned at any time.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class XsensDevice:
         uptime_ticks: int = 0,
         seed: int = 0,
     ) -> None:
-        """Prepare a device that measures at the rate of the three gyros; outputs may have that over a whole number.
+        """Prepare a device that already measures, at the rate of the gyros; outputs may have that over a whole number.
 
         ``serial`` is eight hex digits, counted on for each of several; ``uptime_ticks`` of 100 us is the time since
         power-on. Without ``setup.up`` it has no accelerometers. ``seed`` is that of messages dropped and doubled by
@@ -152,9 +151,9 @@ class XsensDevice:
     def _configure(self, data: bytes) -> None:
         """Adopt the known part of an output configuration, and answer with what is granted.
 
-        An Error if it cannot be read or no part is known. Without data nothing changes. Rates are granted as the
-        sampling rate over a whole number; counts and status come with every message. Outputs of acceleration and angles
-        are left out on a device without accelerometers.
+        An Error if it cannot be read or no part is known. Without data the present one is answered. Rates are granted
+        as the sampling rate over a whole number; counts and status come with every message. Outputs of acceleration and
+        angles are left out on a device without accelerometers.
         """
         wanted = mtdata2.decode_outputs(data)
         known = [o for o in wanted or () if mtdata2.kind_of(o.data_id) in _COUNTS_AND_STATUS + _VALUES]
@@ -223,8 +222,7 @@ class XsensDevice:
         return np.asarray(due, dtype=np.bool_)
 
     def _values(self, at: Floats, index: Ints, rate: Floats, numbers: Ints) -> Callable[[int], Floats | Ints]:
-        """Return a function that gives the values (n, fields) of a kind of packet at n samples; the status for other
-        kinds.
+        """Return a function that gives the values (n, fields) of a kind of packet at n samples, or else the status.
 
         ``numbers`` (n,) are the numbers of the messages; the other arguments are as for ``_stream``.
         """

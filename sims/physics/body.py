@@ -103,10 +103,10 @@ class Body:
         return self.in_turn(self.up, period_s)
 
     def in_turn(self, at: Callable[[Floats], Floats], period_s: float) -> Callable[[Floats], Floats]:
-        """Return a function like ``at`` for successive instants ``period_s`` apart, computed ahead until the motion
-        changes.
+        """Return a function like ``at`` for successive instants ``period_s`` apart, which computes ahead.
 
-        ``at`` gives a row for each instant (n,). Instants that are not ``period_s`` apart are computed individually.
+        ``at`` gives a row for each instant (n,). What was computed ahead lapses when the motion changes. Instants that
+        are not ``period_s`` apart are computed individually.
         """
         count = max(round(_AHEAD_S / period_s), 1)
         first_s, revision = math.inf, -1

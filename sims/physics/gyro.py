@@ -119,9 +119,7 @@ class GyroArray:
         return out if self._chain is None else self._chain.put_out(t_s, out)
 
     def _look_ahead(self, t_s: Floats) -> None:
-        """Compute instants, noise and outputs of the coming calls, those of 0.1 s, each with as many samples as ``t_s``
-        (n,).
-        """
+        """Compute instants, noise and outputs of the calls of the next 0.1 s, each for n samples as ``t_s`` (n,)."""
         n = self._per_call = len(t_s)
         calls = max(round(_AHEAD_S / (n * self._period_s)), 1)
         self._ahead_t = (t_s + n * self._period_s * np.arange(calls)[:, None]).ravel()

@@ -51,7 +51,7 @@ class AxisMotion:
         return first.angle_rad, first.rate_rps
 
     def angles(self, t_s: Floats) -> Floats:
-        """Return the angle in rad at each instant (n,) in s, in ascending order or not.
+        """Return the angle in rad at each instant (n,) in s, one or more, in ascending order or not.
 
         Before the first segment that is kept it is the angle at which that begins.
         """
@@ -99,12 +99,11 @@ class AxisMotion:
         self.jog(t_s, 0.0, acceleration_rps2)
 
     def move(self, t_s: float, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Go to an angle from the instant ``t_s`` on, and stay there: a trapezoid of rate, a triangle if the way is
-        short.
+        """Go to an angle from the instant ``t_s`` on, and stay there.
 
-        Rate and acceleration are limited to those of the axis, and their signs ignored. If the axis is too fast to stop
-        there, turns the other way or faster than the rate, it first comes to rest. A rate of 0 is a stop, an
-        acceleration of 0 the largest.
+        The rate is a trapezoid, a triangle if the way is short. Rate and acceleration are limited to those of the axis,
+        and their signs ignored. If the axis is too fast to stop there, turns the other way or faster than the rate, it
+        first comes to rest. A rate of 0 is a stop, an acceleration of 0 the largest.
         """
         acceleration = self._acceleration(acceleration_rps2)
         top = min(abs(rate_rps), self.max_rate_rps)

@@ -31,8 +31,7 @@ class AcutrolController(LineController):
         wrapped: bool = True,
         identity: str = "Acutronic,ACUTROL3000,{serial},2.4",
     ) -> None:
-        """Prepare for axes with numbers as addresses; the option ``reply_prefix`` is the length of the prefix of
-        answers.
+        """Prepare for axes with numbers as addresses; the option ``reply_prefix`` is the length of that of answers.
 
         ``wrapped`` angles are reported within 0 to 360 deg; ``identity`` is the answer to *idn?, with the serial
         number.
@@ -129,8 +128,9 @@ class AcutrolController(LineController):
     def _limit(self, quantity: str, query: bool, given: list[str]) -> str:
         """Set a limit of an axis in a mode, or return its value if ``query``.
 
-        "absolute" returns all limits of an axis. ``given`` are the arguments: mode, axis and, to set it, the value.
-        AclError for wrong ones.
+        "absolute" always returns six values of an axis, joined by commas: its largest rate, acceleration and jerk, the
+        ends of its position, and the rate that trips. ``given`` are the arguments: mode, axis and, to set it, the
+        value; for "absolute" the axis alone. AclError for wrong ones.
         """
         if quantity == "absolute":
             most = self._axis(given[0]).most

@@ -52,7 +52,7 @@ class Drive:
         self._watchdog.heard(self._state is DriveState.OPERATION_ENABLED)
 
     def read(self, register: str) -> float:
-        """Return the present value of a register; KeyError for one that the profile does not have.
+        """Return the present value of a register, in turns and s; KeyError for one that the profile does not have.
 
         Status, position, rate, error and interlock are those of the table now; any other register holds what was
         written.
@@ -96,7 +96,10 @@ class Drive:
         return register not in _READ_ONLY
 
     def _take_controlword(self, word: int) -> None:
-        """Store a controlword for the next sample, which is scheduled if none is; without a cycle it acts at once."""
+        """Store a controlword for the next sample, which is scheduled in the running loop if none is.
+
+        Without a cycle it acts at once.
+        """
         if not self._cycle_s:
             self._control(word)
             return
@@ -229,8 +232,7 @@ class Drive:
             self._table.zero_encoder(self._axis)
 
     def _statusword(self) -> int:
-        """Return the statusword: state, voltage, target reached, internal limit after a limit switch, and bits 12 and
-        13.
+        """Return the statusword: state, voltage, target reached, internal limit after a limit switch, bits 12 and 13.
 
         Bit 12 says homed, set point taken or at rest, by the mode; bit 13 a following error in position mode.
         """

@@ -182,8 +182,9 @@ class GalilAxisTwin:
         self.motor_off = True
 
     def _jog(self) -> None:
-        """Turn at the rate of JG, up to the soft limit in that direction if one is set; then its stop code is the
-        limit's.
+        """Turn at the rate of JG, up to the soft limit in that direction if one is set.
+
+        The stop code is then that of the limit.
         """
         rate = self._settings["JG"]
         self._way = int(math.copysign(1, rate)) if rate else 0
@@ -196,8 +197,9 @@ class GalilAxisTwin:
             motion.jog(self._table.clock(), self._to_rad(rate), self._to_rad(self._settings["AC"]))
 
     def _within_soft_limits(self, target: float) -> float:
-        """Return ``target`` limited to the soft limits; a limited one changes the stop code to be reported at the
-        end.
+        """Return ``target``, in counts, limited to the soft limits.
+
+        A limited one changes the stop code to be reported at the end.
         """
         if target > self._settings["FL"]:
             self._end = galil.FORWARD_LIMIT

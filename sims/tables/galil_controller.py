@@ -41,8 +41,8 @@ class GalilController(LineController):
     ) -> None:
         """Prepare for axes with letters as addresses.
 
-        The option ``velocity_window`` (s) is the averaging time of velocities. ``revision`` and ``serial`` are reported
-        when asked for; ``echo`` repeats what is received.
+        The option ``velocity_window`` (s) is the averaging time of velocities. ``revision`` is reported when asked for,
+        and ``serial``, counted on for each of several controllers; ``echo`` repeats what is received.
         """
         super().__init__(setup, write)
         by_letter = sorted(setup.addresses.items(), key=lambda a: str(a[1]))
@@ -160,7 +160,8 @@ class GalilController(LineController):
     def _own_setting(self, word: str, operand: str) -> str:
         """Set values of a setting of the controller, as opposed to its axes, and return those asked for with "?".
 
-        ``operand`` has values separated by commas; empty ones are left. Refused for too many, or one that is no number.
+        ``operand`` and the answer have values separated by commas; empty ones are left as they are. The answer is "" if
+        none was asked for. Refused for too many, or one that is no number.
         """
         own, values = self._own[word], [value.strip() for value in operand.split(",")]
         if len(values) > len(own):
@@ -171,7 +172,7 @@ class GalilController(LineController):
         return ",".join(f"{own[i]: g}" for i, value in enumerate(values) if value == "?")
 
     def _message(self, operand: str) -> str:
-        """Return texts in quotation marks, numbers, and operands (``_TPA``) as MG prints them, joined.
+        """Return texts in quotation marks, numbers, and operands (``_TPA``) as MG prints them, with nothing in between.
 
         Refused if there are none or one is wrong.
         """

@@ -92,7 +92,7 @@ class DriveRegisters:
             return _exception(pdu, ExcCodes.DEVICE_FAILURE)
 
     def _carry_out(self, function: int, data: bytes) -> bytes:
-        """Return the data of the reply to a request: the words read, or for a write its first four bytes.
+        """Return the data of the reply to a request: byte count and words read, or for a write its first four bytes.
 
         Checked are function code, quantity, address and value in the specified order; Refused with the exception code
         if a check fails.
@@ -152,10 +152,10 @@ class ModbusTcp:
         self._buffer = b""
 
     def received(self, data: bytes) -> None:
-        """Answer each complete request in order; ConnectionError if a length is impossible, as the next start is then
-        unknown.
+        """Answer each complete request in order.
 
-        Frames of another protocol are discarded.
+        Frames of another protocol are discarded. ConnectionError if a length is impossible, as the next start is then
+        unknown.
         """
         self._buffer += data
         while len(self._buffer) >= _HEADER.size:

@@ -133,8 +133,7 @@ class DeviceFaults:
 
 @dataclass(frozen=True, slots=True)
 class TableFault:
-    """A fault at one instant: the input, limit switch or servo of an axis, the interlock of all axes, or frozen
-    readings.
+    """A fault at one instant: of the input, limit switch or servo of an axis, of the interlock of all, or of readings.
 
     Frozen readings do not change any more, or are zero, while the axis moves on.
     """
@@ -183,8 +182,7 @@ def wire_faults(table: Mapping[str, object], where: str) -> WireFaults:
 def table_faults(
     table: Mapping[str, object], axes: Collection[str], where: str
 ) -> tuple[TableFault | None, WireFaults]:
-    """Return the fault of a table with these axes, None without one, and those of its wire, from the keys of
-    [twin.fault].
+    """Return the fault of a table with these axes, None without one, and those of its wire, from [twin.fault].
 
     ``where`` is the name of that TOML table for errors. HiddenError for unknown keys, invalid values and missing axes.
     """
@@ -211,8 +209,7 @@ class FaultyWay(Generic[T]):
     def __init__(
         self, hand_on: Callable[[T], None], faults: WireFaults, seed: Any, *, silent_unplugged: bool = False
     ) -> None:
-        """Prepare to pass what arrives to ``hand_on``; needs a running loop, from whose time now ``faults`` count
-        theirs.
+        """Prepare to pass what arrives to ``hand_on``; ``faults`` count their times from now; needs a running loop.
 
         Nothing arrives while the wire is silent, nor, with ``silent_unplugged``, while the plug is out. ``seed`` is of
         any kind that numpy accepts.

@@ -41,8 +41,7 @@ class NodeFaults:
     _last: Floats | None = None
 
     def times_to_send(self) -> int:
-        """Return how often to send the present sample: 0, 1 or 2 times, drawn at random by the shares ``dropped`` and
-        ``doubled``.
+        """Return how often to send the present sample: 0, 1 or 2 times, at random by ``dropped`` and ``doubled``.
 
         0 while silent, 1 without these faults; then nothing is drawn.
         """
@@ -98,7 +97,5 @@ class ImuTwinSetup:
     number: int = 0
 
     def force_mps2(self, t_s: Floats) -> Floats:
-        """Return the specific force (n, 3) at its accelerometers, in m/s2, at instants (n,); 0 without a
-        direction up.
-        """
+        """Return the specific force (n, 3) at its accelerometers in m/s2 at instants (n,); 0 without a direction up."""
         return np.zeros((len(t_s), 3)) if self.up is None else self.up(t_s) * STANDARD_GRAVITY_MPS2

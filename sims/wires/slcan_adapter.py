@@ -23,9 +23,7 @@ _TAKEN: dict[str, str] = packaged_toml("sims", "codes.toml")["slcan"]
 
 
 class SlcanAdapter(LineDevice):
-    """Bridges a byte stream and a bus: frames from the host go to ``on_message``, frames from the bus come in by
-    ``send``.
-    """
+    """Bridges a byte stream and a bus: frames of the host go to ``on_message``, those of the bus enter by ``send``."""
 
     longest = 10 + 2 * 64
 
@@ -120,8 +118,7 @@ class SlcanAdapter(LineDevice):
         return CR
 
     def _poll(self, name: str, argument: str) -> bytes:
-        """Carry out the command ``name`` with an argument: switch polling on or off (X), or return queued
-        frames.
+        """Carry out the command ``name`` with an argument: switch polling on or off (X), or return queued frames.
 
         P returns the next, CR if there is none, A all. BELL for a wrong argument, while closed, or without polling.
         """

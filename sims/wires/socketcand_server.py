@@ -123,9 +123,7 @@ class SocketcandServer:
         task.add_done_callback(self._tasks.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pass the bytes of one client to its session until it leaves or its connection breaks; forget the session
-        then.
-        """
+        """Pass the bytes of one client to its session until it leaves or its connection breaks; then forget it."""
         try:
             with suppress(OSError):
                 while data := await reader.read(4096):

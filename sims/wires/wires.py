@@ -300,7 +300,7 @@ class _Tcp:
         task.add_done_callback(self._tasks.discard)
 
     def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a new station; an earlier connection is aborted."""
+        """Serve a new station; an earlier connection is aborted, of which the device is told."""
         # The task is ours: asyncio's own would be reported with a traceback if it were cancelled at the end.
         before, self._client = self._client, writer
         if before is not None:

@@ -161,8 +161,8 @@ def _read(path: Path) -> Recording:
 def _identity(path: Path, recording: Recording, gyros: Sequence[GyroCalibration]) -> dict[str, str]:
     """Return the identity of the gyros as texts of one line each, by name; empty ones are left out.
 
-    It names device, model, operator, station, script, time, outcome, and the file ``path`` with its hash. The device is
-    that of the recording if no gyro names one.
+    It names device, model, serial number, operator, station, script, time, outcome, software, and the file ``path``
+    with its hash. The device is that of the recording if no gyro names one.
     """
     attributes = recording.attributes
     with h5py.File(path, "r") as file:

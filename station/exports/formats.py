@@ -14,8 +14,7 @@ from station.exports.written import Written
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """An export format: the function that writes it (or UsageError), what it holds and lacks in words, whether per
-    device.
+    """An export format: the function that makes it (or UsageError), what it holds and lacks, whether per device.
 
     ``suffix`` is that of its files where the station names them.
     """

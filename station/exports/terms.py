@@ -68,9 +68,7 @@ class Terms:
         return next(iter(self.of(Acts.LAG)), None)
 
     def uses(self, name: str, acts: Acts | None = None) -> bool:
-        """Return whether an expression uses a name such as "warmth"; with ``acts``, only of the terms that act
-        there.
-        """
+        """Return whether any expression uses a name such as "warmth"; with ``acts`` only terms that act there count."""
         some = self.all if acts is None else self.of(acts)
         return any(re.search(rf"\b{name}\b", term.expression) for term in some)
 

@@ -147,7 +147,7 @@ def _last_estimates(course: Course, channel: int, states: Sequence[tuple[Markup,
 
 
 def nis_picture(recorded: Recorded) -> Picture | None:
-    """Return a picture of the NIS per degree of freedom of each source, in some 60 means; None if none is stored.
+    """Return a picture of the NIS per degree of freedom of each source, in at most 119 means; None if none is stored.
 
     Sources without NIS are left out. A band shows where 95 % of the means would lie if all sigmas were right.
     """

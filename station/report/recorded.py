@@ -31,8 +31,9 @@ _MAY_LACK_ESTIMATE = (Outcome.MANUAL, Outcome.FAIL, Outcome.ABORTED, Outcome.FAU
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
 class Course:
-    """The course of a live filter: states and sigmas (b, m, 4) at ``t_ns`` (b,); NIS and its degrees of freedom per
-    block.
+    """The course of a live filter: states and sigmas (b, m, 4) at ``t_ns`` (b,).
+
+    NIS and its degrees of freedom (c,) are those of blocks, at ``nis_t_ns`` (c,).
     """
 
     t_ns: Stamps

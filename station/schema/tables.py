@@ -61,7 +61,7 @@ class Table(StrictTable):
         return found
 
     def check(self, *sections: str) -> None:
-        """Check the table and all tables in it against the declarations of ``sections``.
+        """Check the table and all tables in it against the declarations of ``sections``, and take all their keys.
 
         The key "*" of a section declares all keys that have no declaration of their own. The table's error for a value
         that is invalid, and for a key that is not declared.

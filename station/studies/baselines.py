@@ -91,7 +91,7 @@ class Timed:
 
 
 def run_study(seeds: int, **where: Any) -> BaselineStudy:
-    """Run every method on so many seeds, and summarise each; seeds that fail are listed.
+    """Run every method on the seeds from 0 to below ``seeds``, and summarise each; seeds that fail are listed.
 
     ``where`` goes to ``run_all``: scheduler, workers, quiet. UsageError if every seed fails.
     """
@@ -244,8 +244,9 @@ def _rotations(script: Script) -> Iterator[tuple[float, float]]:
 
 
 def _rows_during(recording: Recording, spans: Iterator[tuple[float, float]]) -> list[Observations]:
-    """Return body rates and outputs within each of ``spans`` (begin and end in s), without the first and last half
-    second.
+    """Return body rates and outputs within each of ``spans`` (begin and end in s), which are used up.
+
+    The first and the last half second of each are left out.
     """
     w_rps, y_rps = rows_of(recording)
     t_s = np.arange(1, len(w_rps) + 1) / SAMPLE_HZ

@@ -46,9 +46,7 @@ def _seen(value: float, form: str) -> str:
 
 
 def baseline_findings(study: BaselineStudy) -> list[str]:
-    """Return what the numbers say about each group of methods, in sentences: errors, stated sigmas, cost, and what is
-    unseen.
-    """
+    """Return sentences on what the numbers say about the methods: errors, stated sigmas, cost, and what is unseen."""
     ours = study.named(OURS)
     squares = study.named(LEAST_SQUARES)
     kalman = study.named(FILTER)

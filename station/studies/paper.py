@@ -123,7 +123,7 @@ class PaperStudy:
 
 
 def run_study(seeds: int, **where: Any) -> PaperStudy:
-    """Run every case to the letter, and this station over so many seeds; seeds that fail are listed.
+    """Run every case to the letter, and this station on seeds from 0 to below ``seeds``; those that fail are listed.
 
     ``where`` goes to ``run_all``: scheduler, workers, quiet. UsageError if a case to the letter fails, or every seed.
     """

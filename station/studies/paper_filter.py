@@ -88,9 +88,7 @@ def bound(
 
 
 def _filter_operations(states: int, outputs: int) -> int:
-    """Return the operations of one dense update in Joseph form, as the equations stand, for so many states and
-    outputs.
-    """
+    """Return the operations of one dense update in Joseph form, as the equations stand, by states and outputs."""
     x = states
     z = outputs
     innovation = 2 * z * x + 2 * z * x * x + 2 * z * z * x  # y = z - H x, H P, (H P) H' + R

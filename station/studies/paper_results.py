@@ -53,8 +53,9 @@ def print_paper(study: PaperStudy, *, details: bool = False) -> None:
 
 
 def _table_of_means(study: PaperStudy) -> Table:
-    """Return the table of mean relative errors in %: as printed, by the letter of the paper, of this station, the
-    bound.
+    """Return the table of mean relative errors in %, by state: as printed, to the letter, of this station, the bound.
+
+    A last row has what is required of this station.
     """
     earth = np.array([errors.linear for errors in study.headings.values()])
     printed = {
@@ -143,9 +144,7 @@ def _heading_cells(errors: Floats) -> Sequence[str]:
 
 
 def paper_findings(study: PaperStudy) -> list[str]:
-    """Return what the numbers of the study say, in sentences: about the paper's noise, that of MEMS gyros, and Earth
-    rate.
-    """
+    """Return sentences on what the numbers say: about the paper's noise, that of MEMS gyros, and Earth rate."""
     floor = relative_percent(study.noise_free.linear)[2:].mean()
     decoded = relative_percent(study.noise_free.decoded)[2:].mean()
     k_alone_ppm, k_noisy_ppm = (np.abs(errors.linear[:, 1]).max() for errors in (study.noise_free, study.clean))
@@ -181,7 +180,7 @@ def paper_findings(study: PaperStudy) -> list[str]:
 def paper_object(study: PaperStudy) -> dict[str, Any]:
     """Return the results as --json prints them: the errors of the paper's method and of this station by gyro and state.
 
-    ``units`` has the unit of each state.
+    ``units`` has the unit of each state. The errors with the noise of MEMS gyros are means in %, by state alone.
     """
     return {
         "study": "paper",

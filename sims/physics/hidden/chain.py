@@ -17,15 +17,15 @@ T = TypeVar("T")
 
 
 class GyroChain:
-    """Signal chain: motion, delay, rate and further sensed effects, dead band, low pass, biases; then noise and
-    converter.
+    """Signal chain: motion, delay, rate and further sensed effects, dead band, low pass, biases.
+
+    Noise and converter follow.
     """
 
     def __init__(
         self, effects: Iterable[object], world: World, gain: Floats, period_s: float, seed: tuple[int, ...]
     ) -> None:
-        """Prepare the chain of ``effects`` on m gyros, sampled every ``period_s``; ``seed`` is that of biases that
-        walk.
+        """Prepare the chain of ``effects`` on m gyros, sampled every ``period_s``; ``seed`` is of biases that walk.
 
         ``gain`` (m,) is the sensitivity left by the constant scale factor errors, ``world`` what effects depend on.
         HiddenError if an effect names a gyro that does not exist, or has neither one value nor m.
@@ -82,8 +82,9 @@ class GyroChain:
         return np.column_stack([self._sense(scene)[:, i] for i, scene in enumerate(scenes)])
 
     def _sense(self, scene: Scene) -> Floats:
-        """Return the sensed rate (n, m): gain times rate plus the sensed effects; a dead band removes gain times rate
-        alone.
+        """Return the sensed rate (n, m): gain times rate plus the sensed effects.
+
+        A dead band removes gain times rate alone.
         """
         out = self._gain * scene.u
         for effect in self._sensed:

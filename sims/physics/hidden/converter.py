@@ -58,9 +58,9 @@ class Converter:
     last: Floats = field(default_factory=lambda: np.empty(0))
 
     def __call__(self, clock_s: Floats, out: Floats) -> Floats:
-        """Return the outputs (n, m) after limits, holds and stuck gyros, at successive instants of the bench clock in s
-        (n,).
+        """Return the outputs (n, m) after limits, holds and stuck gyros, at successive instants (n,), one or more.
 
+        They are of the bench clock, in s, and go on from the last call.
         Holds repeat every ``hold``-th row until the next; a stuck gyro keeps its last value before the time at which it
         sticks.
         """

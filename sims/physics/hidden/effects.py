@@ -37,10 +37,10 @@ class Hidden:
 
     @classmethod
     def of(cls, tables: Mapping[str, object]) -> Self:
-        """Return the effects described by tables of texts with units; HiddenError, which begins with table and key, if
-        invalid.
+        """Return the effects described by tables of texts with units, by name.
 
-        An effect that occurs several times is a list of tables, named in errors by its index: "tone.1".
+        HiddenError, which begins with table and key, for an invalid or unknown one. An effect that occurs several times
+        is a list of tables, named in errors by its index: "tone.1". "devices" is a list of names, not a table.
         """
         refuse_unknown(tables, dict.fromkeys(("devices", Temperature.name, *KINDS)), "hidden effects")
         effects: list[object] = []

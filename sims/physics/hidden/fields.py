@@ -34,8 +34,9 @@ class HiddenError(ValueError):
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T]]:
-    """Return a decorator that makes a class a frozen dataclass and enters it in ``kinds`` as ``name``, its key in
-    files.
+    """Return a decorator that makes a class a frozen dataclass and enters it in ``kinds``.
+
+    ``name`` is its key there and in files.
     """
 
     def entered(described: type[T]) -> type[T]:

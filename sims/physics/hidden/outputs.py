@@ -34,9 +34,7 @@ class Added(Output):
 
 
 class Sensed(Output):
-    """An effect of the motion, before the low pass: a varying scale factor, or something sensed in addition to the
-    rate.
-    """
+    """An effect of the motion, before the low pass: a varying scale factor, or something sensed beside the rate."""
 
 
 @hidden(KINDS, "thermal_bias")
@@ -270,7 +268,7 @@ class WalkPath:
         self._knots = np.zeros((1, count))
 
     def at(self, t_s: Floats) -> Floats:
-        """Return the processes (n, m) at instants (n,), linear between knots; 0 before the instant 0."""
+        """Return the processes (n, m) at instants (n,), one or more, linear between knots; 0 before the instant 0."""
         at = np.maximum(t_s, 0.0) / _KNOT_S
         while len(self._knots) < at.max() + 2:
             steps = math.sqrt(_KNOT_S) * self._random.standard_normal((_KNOTS_AT_ONCE, self._knots.shape[1]))

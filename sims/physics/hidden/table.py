@@ -176,8 +176,7 @@ class TableFaults:
         return angle_rad
 
     def true_angles(self, axis: str, angles: Angles, started_s: float) -> Angles:
-        """Return a function that gives the true angles (n,) of an axis at instants (n,), by those its encoder
-        indicates.
+        """Return a function that gives the true angles (n,) of an axis at instants (n,), by those of its encoder.
 
         ``angles`` gives the latter; ``started_s`` is the bench clock at the instant 0. Faulty readings that the servo
         follows move the axis the other way.

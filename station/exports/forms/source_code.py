@@ -150,9 +150,7 @@ def _module_of(exported: Exported) -> dict[str, Any]:
 
 
 def _force_vectors(force: ForceCorrection, module: Mapping[str, Any]) -> tuple[Floats, Floats]:
-    """Return test inputs (8, a), outputs of the accelerometers in m/s2, and the forces (8, 3) that a module makes of
-    them.
-    """
+    """Return test inputs (8, a), outputs of the accelerometers, and the forces (8, 3) of the ``module``, in m/s2."""
     given = GRAVITY_MPS2 * np.cos(np.outer(np.arange(8), (1.0, 1.7, 2.3)))
     outputs = given @ force.sensitivity.T - force.bias_mps2
     return outputs, np.array([module["correct_force"](row) for row in outputs.tolist()])

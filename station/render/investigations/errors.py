@@ -56,8 +56,7 @@ def _errors_table(view: InvestigationView) -> Table:
 
 
 def _errors(before: ErrorsView, after: ErrorsView) -> list[str]:
-    """Return six texts: rms and largest error in deg/h, and coverage of the 95 % intervals, each before, then after.
-    """
+    """Return six texts: rms and largest error in deg/h, and coverage of the 95 % intervals, each before, then after."""
     return [
         dph(before.rms_rps),
         dph(after.rms_rps),
