@@ -13,7 +13,10 @@ _PICTURES = (".png", ".svg", ".pdf")
 
 
 def check_new_file(path: Path, option: str) -> None:
-    """See, before any long work, that a file can be created there; UsageError if not."""
+    """See, before any long work, that a file can be created there; UsageError if not, or if it exists.
+
+    ``option`` begins the message.
+    """
     if path.exists():
         raise UsageError(f"{option} {path} exists already. Give another name")
     _check_folder(path, option)
@@ -31,7 +34,10 @@ def check_new_recording(path: Path) -> None:
 
 
 def check_picture(path: Path) -> None:
-    """See that a picture can be drawn and saved there, before any long work; UsageError if not."""
+    """See, before any long work, that a picture can be saved there, by its suffix and folder; UsageError if not.
+
+    An existing file is no error.
+    """
     if path.suffix.lower() not in _PICTURES:
         raise UsageError(f"--plot {path}: the name must end in one of {', '.join(_PICTURES)}")
     _check_folder(path, "--plot")

@@ -68,13 +68,13 @@ class Settings:
         return next(code for code, identifier in DATAGRAM_CODES.items() if identifier == self.identifier)
 
     def set_rate(self, code: str) -> None:
-        """Set the rate by its digit."""
+        """Set the rate by its digit; Refused if there is none, or the serial line is too slow for it."""
         rate_hz = RATES_HZ[int(_one_of(code, tuple("01234")))]
         self._fit(rate_hz, self.identifier)
         self.rate_hz = rate_hz
 
     def set_datagram(self, code: str) -> None:
-        """Set the normal datagram by its letter."""
+        """Set the normal datagram by its letter; Refused if there is none, or the serial line is too slow for it."""
         identifier = DATAGRAM_CODES[_one_of(code, DATAGRAM_CODES)]
         self._fit(self.rate_hz, identifier)
         self.identifier = identifier

@@ -103,7 +103,7 @@ class TableModel:
         self.motion[axis].move(self.clock(), target, rate_rps, acceleration_rps2)
 
     def seek_home(self, axis: str, rate_rps: float) -> None:
-        """Turn to the nearest index pulse, which is at home once a turn."""
+        """Begin to turn to the nearest index pulse, which is at home once a turn, with the largest acceleration."""
         now = self.clock()
         angle = self.motion[axis].at(now)[0]
         home = 2 * math.pi * round(angle / (2 * math.pi))

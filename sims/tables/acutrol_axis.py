@@ -34,7 +34,7 @@ class AcutrolAxisTwin:
         self._position_demand = 0.0
 
     def update(self) -> None:
-        """Let a pulled fault input or a pressed limit switch open the interlock."""
+        """Let a trip, or a limit switch pressed ahead, open the interlock: mode off, in fault, braking."""
         if self._axis in self._table.tripped or (self.powered and self._pressed_ahead()):
             self.faulty, self.powered, self.mode = True, False, "off"
             self._brake()
@@ -109,13 +109,13 @@ class AcutrolAxisTwin:
         raise AclError("Command not recognized")
 
     def set_limit(self, quantity: str, mode: str, value: float) -> None:
-        """Set a limit of a mode, within the absolute one."""
+        """Set a limit of a mode; AclError unless it is above 0 and at most 0.1 % beyond the absolute one."""
         if not 0.0 < value <= self.most[quantity] * 1.001:
             raise AclError("Value out of range")
         self.limits[quantity, mode] = value
 
     def angle_deg(self) -> float:
-        """Return the angle of the absolute encoder."""
+        """Return the angle of the absolute encoder in deg, in whole counts, over any number of turns."""
         counts = self._table.data[self._axis].counts_per_turn
         angle = self._table.read[self._axis](self._table.clock())[0]
         return math.floor(angle / TURN * counts + 0.5) / counts * 360.0

@@ -88,7 +88,10 @@ class Drive:
         return register == "access" or self.values.get("access", 1.0) == 1.0
 
     def accepts(self, register: str, value: float) -> bool:
-        """Return whether the drive accepts a value for a register."""
+        """Return whether the drive accepts a value for a register: a known mode, or a rate that the axis can turn at.
+
+        Any value of another register is accepted, unless that can only be read.
+        """
         if register == "mode":
             return value in (cia402.MODE_PROFILE_POSITION, cia402.MODE_PROFILE_VELOCITY, cia402.MODE_HOMING)
         if register in ("target_rate", "profile_rate"):
@@ -189,7 +192,10 @@ class Drive:
                 self._follow_goal()
 
     def _start_of_move(self, word: int) -> float:
-        """Return from where a target position counts: a relative one from the target before it (60F2h: 0)."""
+        """Return from where a target position counts, in turns: a relative one from the target before it (60F2h: 0).
+
+        Without a target before it that is the position; an absolute one counts from 0.
+        """
         if not word & _RELATIVE:
             return 0.0
         return self._table.encoder_turns(self._axis) if self._goal is None else self._goal
@@ -210,7 +216,7 @@ class Drive:
         self._table.motion[self._axis].jog(self._table.clock(), rate * TURN, self.values[ramp] * TURN)
 
     def _release(self, state: cia402.DriveState) -> None:
-        """Leave operation: an axis that turns brakes along its ramp."""
+        """Enter ``state``, out of operation: an axis that turns brakes, and homing is given up."""
         if self._table.rate_rps(self._axis):
             self._table.stop(self._axis)
         self._state = state

@@ -168,7 +168,7 @@ class GalilAxisTwin:
             self._go(self._within_soft_limits(target), self._settings["SP"])
 
     def abort(self) -> None:
-        """Stop without a ramp; the motor goes off if off-on-error is set."""
+        """Brake with full torque, not along the ramp; the motor goes off if off-on-error is set."""
         if self._moving:
             self._moving, self._stop_code = False, galil.ABORTED
         self._table.stop(self._axis)

@@ -180,7 +180,7 @@ class ModbusRtu:
     """
 
     def __init__(self, drives: Mapping[int, DriveRegisters], silence_s: float, write: Write) -> None:
-        """Must be made within a running loop."""
+        """Prepare for ``drives`` by unit id; ``silence_s`` ends a frame. Needs a running loop."""
         self._drives, self._write, self._silence_s = drives, write, silence_s
         self._buffer = b""
         self._loop = asyncio.get_running_loop()

@@ -16,7 +16,10 @@ def burst_of(rate_hz: float) -> int:
 
 
 def copies_sent(random: np.random.Generator, count: int, dropped: float, doubled: float) -> Ints:
-    """Return how often each of ``count`` samples is sent, given the shares that are dropped and doubled."""
+    """Return how often each of ``count`` samples is sent (count,): 0, 1 or 2, by the shares dropped and doubled.
+
+    Nothing is drawn if both are 0.
+    """
     if not dropped and not doubled:
         return np.ones(count, dtype=np.int64)
     none, twice = random.random(count) < dropped, random.random(count) < doubled

@@ -226,7 +226,7 @@ class FaultyWay(Generic[T]):
         self._held: T | None = None
 
     def __call__(self, item: T) -> None:
-        """Send."""
+        """Send an item, which may be lost, doubled, damaged, out of order or late."""
         for each in self._disordered(item):
             if self.silent or _share(self._random, self._faults.loss):
                 continue

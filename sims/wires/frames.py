@@ -55,7 +55,7 @@ class NodeFaults:
         return 0 if draw < self.dropped else 2 if draw < self.dropped + self.doubled else 1
 
     def spoilt(self, rates_rps: Floats, most_rps: float = 1e300) -> Floats:
-        """Return rates (n, m), some of them impossible: ``most_rps`` is the largest number on the wire."""
+        """Return rates (n, m) with all of a row ``most_rps``, the largest number on the wire, in a share ``huge``."""
         if not self.huge:
             return rates_rps
         self._random = self._random or np.random.default_rng(self.seed)

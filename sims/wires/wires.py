@@ -55,7 +55,7 @@ class Plug:
         self._pulled, self._put_back = pulled, put_back
 
     def schedule(self, pull_s: float, push_s: float) -> None:
-        """Have it pulled and put back after these times of the loop, infinite for never."""
+        """Have it pulled and put back so many seconds of the running loop from now, infinite for never."""
         loop = asyncio.get_running_loop()
         for after_s, act in ((pull_s, self.pull), (push_s, self.push)):
             if after_s < math.inf:

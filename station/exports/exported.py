@@ -68,7 +68,7 @@ class Exported:
 
     @property
     def failure(self) -> list[str]:
-        """That the run was no pass, if it was none."""
+        """One line that the run was no pass; [] if it was one, or no verdict is known."""
         ended = self.verdict
         if ended is None or ended.outcome in (Outcome.PASS, Outcome.ESTIMATED):
             return []
@@ -141,7 +141,10 @@ def _joined(recording: Recording, others: Sequence[Path]) -> Calibration:
 
 
 def _units_of(recording: Recording) -> Units:
-    """Return in which units the bench file that a recording carries has states shown; the usual ones without."""
+    """Return in which units the bench file that a recording carries has states shown; the default ones without.
+
+    These stand for a bench file that cannot be read, too.
+    """
     with suppress(BenchError):
         return read_limits(str(recording.attributes.get("bench", ""))).units
     return Units()

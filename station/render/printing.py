@@ -68,7 +68,10 @@ def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, 
 
 
 def refuse(reason: str, as_json: bool, outcome: Outcome | None = None, recording: str | None = None) -> int:
-    """Print on stderr why there is no result, and as JSON an empty one; return the exit code."""
+    """Print on stderr why there is no result, and with ``as_json`` an empty one on stdout; return the exit code.
+
+    It is that of ``outcome``, without one that of wrong usage.
+    """
     tell(f"station: {reason}", sys.stderr)
     if as_json:
         print(json.dumps(empty_object(reason, outcome and str(outcome), recording)))

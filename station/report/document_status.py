@@ -97,7 +97,10 @@ def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
 
 
 def _formal_kinds(formal: Formal, *, simulated: bool) -> list[Kind]:
-    """Return what keeps a passed run from a certificate; a specimen needs neither a date nor a place."""
+    """Return what keeps a passed run from a certificate; a specimen needs neither a date nor a place.
+
+    SPECIMEN stands alone, for simulated devices with no other reason; [] if nothing keeps it.
+    """
     lacking = {Kind.OVERDUE: bool(formal.overdue), Kind.NOT_APPROVED: not formal.approved}
     if not simulated:
         lacking |= {Kind.UNDATED: formal.performed_date is None, Kind.NO_PLACE: not formal.place}

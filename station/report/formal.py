@@ -82,7 +82,7 @@ class Formal:
 
     @property
     def approved(self) -> bool:
-        """Whether it is approved as the bench requires."""
+        """Whether it is approved by another than the operator, if the bench requires that; else True."""
         names = (normalize("NFKC", who or "").casefold() for who in (self.certificate_approved_by, self.operator))
         by, made = ("".join(filter(str.isalpha, who)) for who in names)  # only the letters are compared
         return not self.approved_by_another or by not in ("", made)

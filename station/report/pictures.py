@@ -138,7 +138,7 @@ def _convergence_picture(
 
 
 def _last_estimates(course: Course, channel: int, states: Sequence[tuple[Markup, Unit]]) -> list[LastEstimate]:
-    """Return the last estimate of each state of a gyro."""
+    """Return the last estimate of each state of a gyro, in the units of ``states``."""
     last = zip(states, course.states[-1, channel], course.sd[-1, channel], strict=True)
     return [
         LastEstimate(value=float(value) * unit.factor, sd=float(sd) * unit.factor, unit=unit.name)
@@ -436,7 +436,7 @@ def _thinned(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def _means(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return means over stretches of a curve that is mostly noise."""
+    """Return means of instants and values over equal stretches of a noisy curve, without an incomplete last one."""
     rows = max(len(t_s) // _MOST_POINTS, 1)
     count = len(t_s) // rows
     at, means = (v[: count * rows].reshape(count, rows).mean(axis=1) for v in (t_s, values))

@@ -53,7 +53,10 @@ class Hidden:
         return cls(tuple(effects), temperature, _devices(tables.get("devices")))
 
     def of_device(self, name: str) -> Self:
-        """Return the hidden effects of this device: those of its gyros only if it is among the devices."""
+        """Return the hidden effects of this device; those of gyros and temperature only if it is among the devices.
+
+        Effects of the table are there in any case. Without a list of devices all are among them.
+        """
         if self.devices is None or name in self.devices:
             return self
         return replace(self, effects=self.table.effects, temperature=None)

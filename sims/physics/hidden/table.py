@@ -193,7 +193,7 @@ class TableFaults:
         return true
 
     def directions(self, gimbals: Sequence[str]) -> Mapping[str, Floats]:
-        """Return the unit vectors (3,) of the axes that are not where they should be, at home."""
+        """Return the unit vectors (3,), by name, of those axes alone that at home are not where they should be."""
         tilts = {axis: np.sum([effect.tilt(axis) for effect in self.effects], 0) for axis in gimbals if self.effects}
         tilted = {axis: _UNIT[axis] + tilt for axis, tilt in tilts.items() if np.any(tilt)}
         return {axis: direction / np.linalg.norm(direction) for axis, direction in tilted.items()}

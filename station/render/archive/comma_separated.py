@@ -26,7 +26,7 @@ _COLUMNS: Mapping[str, Callable[[HistoryRow], _Cell]] = {
 
 
 def csv_text(recordings: Sequence[HistoryRow]) -> str:
-    """Return a line for each recording, with the states of every gyro that any of them has."""
+    """Return a line of headings and one for each recording, with the states of every gyro that any of them has."""
     names = list(dict.fromkeys(gyro.name for row in recordings for gyro in row.gyros))
     lines = [_heads(names), *(_line(row, names) for row in recordings)]
     return "".join(f"{','.join(cells)}\n" for cells in lines)

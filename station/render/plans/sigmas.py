@@ -83,7 +83,10 @@ def required_words(plan: Plan) -> list[str]:
 
 
 def _required(figure: StateUnit, sd: float, written: str) -> str:
-    """Return a required sigma as it was written, without the unit, if that is the unit of the state."""
+    """Return a required sigma as it was written, without the unit, if that is the unit of the state.
+
+    Else it is ``sd``, in SI, in that unit; "-" if it is infinite.
+    """
     quantity = split_quantity(written)
     if quantity is not None and quantity[1] == figure.unit:
         return written.removesuffix(quantity[1]).rstrip()

@@ -137,7 +137,7 @@ def _numbers_table(correction: Correction, states: States) -> Table:
 
 
 def _gains(correction: Correction, row: int) -> Iterator[float]:
-    """Yield the sensitivities of a gyro, or the gain about its own axis."""
+    """Yield the three sensitivities of gyro number ``row``, or with ``axes_only`` its one gain about its axis."""
     compensation = correction.compensation
     if correction.axes_only:
         yield 1 - compensation.states[row, 0]

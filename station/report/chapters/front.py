@@ -178,7 +178,7 @@ def _when_and_where(recorded: Recorded, formal: Formal, standing: Standing) -> l
 
 
 def _ambient(value: float | None, unit: Unit, instrument: str | None) -> Content:
-    """Return a condition of the room with the instrument that measured it, nothing if it is not stated."""
+    """Return a condition of the room with the instrument that measured it, if that is stated; None without a value."""
     if value is None:
         return None
     by = f" ({instrument})" if instrument else ""
@@ -344,14 +344,14 @@ def _steps_table(recorded: Recorded, driven: Sequence[tuple[Step, Rotate | None]
 
 
 def _turn(turn: Rotate | None) -> list[Content]:
-    """Return axis, rate and angle of a step."""
+    """Return axis, rate in deg/s and angle in deg of a step; "none" and zeros without a turn."""
     if turn is None:
         return ["none", "0", "0"]
     return [turn.axis, fixed(turn.rate_rps, DEG_PER_S, 2), fixed(turn.turn_rad, DEG, 2)]
 
 
 def links_of(recorded: Recorded) -> dict[str, str]:
-    """Return protocol and link of each device and of the table."""
+    """Return protocol and link of each device by name, and of the table as "table"; those not recorded are left out."""
     devices = (text.partition(" (") for text in recorded.recording.attributes.get("devices", ()))
     links = {name: rest.rstrip(")") for name, _, rest in devices}
     return links | ({"table": recorded.text("table_link")} if recorded.text("table_link") else {})
@@ -394,7 +394,7 @@ def motion_picture(recorded: Recorded) -> Picture | None:
 
 
 def driven_steps(recorded: Recorded) -> list[tuple[Step, Rotate | None]]:
-    """Return the steps as they were driven on a table, each with its turn if it had one."""
+    """Return the steps as they were driven on a table, each with its turn or None; [] without a table."""
     table = recorded.recording.table
     if table is None:
         return []

@@ -191,7 +191,7 @@ def hidden(unseen: Unseen) -> list[tuple[EffectForecast, Floats]]:
 
 
 def size(effect: Effect, value: float) -> Markup:
-    """Return a size of an effect to two digits."""
+    """Return a size of an effect, ``value`` in SI, to two digits in a readable unit."""
     unit = effect.parameters[0].unit
     number, _, name = human(value, 0.0, unit).partition(" ")
     return figure(value, Unit(unit, 1.0), typographic(f"{significant(float(number), 2)} {name}"))
