@@ -35,7 +35,8 @@ class TimedMove:
 class DirectRun:
     """Readings of the table (k, gimbals), and outputs (n, m) and temperature readings (n,) of the gyros.
 
-    ``force_mps2`` (n, a) are the outputs of the accelerometers, None without any.
+    ``force_mps2`` (n, a) are the outputs of the accelerometers, None without any. The first sample is one period after
+    the start; readings of the table begin at the start and go on past the end.
     """
 
     table_t_ns: Stamps
@@ -73,8 +74,7 @@ def direct_run(
     rate of gyro samples, ``table_rate_hz`` that of readings of the table. Angles are rounded to encoder counts; rates
     are exact, as a drive's set point is. Moves have no limits but their own. The bench clock, which temperature and
     ``hidden`` effects follow, is at ``started_s`` when the run begins. ``accelerometers`` are the axes and truth
-    of those that sample with the gyros, in a field of ``gravity_mps2``. The first sample is one period after the start;
-    readings of the table begin at the start and go on past the end.
+    of those that sample with the gyros, in a field of ``gravity_mps2``.
     """
     table = hidden.table if hidden is not None else TableFaults()
     motions = _motions(moves, gimbals)
