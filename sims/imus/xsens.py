@@ -36,9 +36,9 @@ _HARDWARE = bytes([2, 0])
 
 
 class XsensDevice:
-    """An MTi that measures since it was switched on, and sends in bursts of about 10 ms.
+    """An MTi that measures since it was switched on, and sends in bursts of 10 ms as an operating system does.
 
-    So an operating system hands them over. The knobs of ``faults`` may be turned at any time.
+    The knobs of ``faults`` may be turned at any time.
     """
 
     def __init__(

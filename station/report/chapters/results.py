@@ -104,8 +104,9 @@ def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
 
 
 def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Sequence[int]) -> DeviceSummary:
-    """Return the summary of the device ``name``, whose gyros are ``rows`` of the calibration; "" for no verdict.
+    """Return the summary of the device ``name``, whose gyros are ``rows`` of the calibration.
 
+    Its verdict is that of the run, "" if that has none.
     If the run failed, it is PASS nevertheless when only limits of other devices are broken, and none of the run.
     """
     assert recorded.calibration is not None
