@@ -27,7 +27,8 @@ def _waves_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ..
 def _tilt_columns(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
     """Return the columns (N, 2 for each inner axis) of axes tilted towards the two others; (N, 0) for a single axis.
 
-    The outermost axis defines the base. With a small rotation d that tilts an axis, R' becomes (1 + d x) R' (1 - d x),
+    Inner axes come outermost first, and each is tilted first towards the next of x, y, z, x, y, then towards the one
+    after it. The outermost axis defines the base. With a small rotation d that tilts an axis, R' becomes (1 + d x) R' (1 - d x),
     and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
     """
     if len(conditions.gimbals) < 2:

@@ -58,8 +58,9 @@ def rests_of(
 
     They are those of sections, the whole file, or quiet stretches, as stated. ``kept_rows`` (rows,) are the numbers of
     the kept rows of the gyro's ``rate`` and the accelerometer's ``accel`` (rows, m). Notes say how long it rests, which
-    labels count as motion, and what is odd about poses or gravity. RecordingError if there is no rest, or the direction
-    up is needed and not known; without a rest in any section the list is empty.
+    labels count as motion, and what is odd about poses or gravity. RecordingError if there is no rest, a named section
+    is missing or begins after the file, or the direction up is needed and not known. If all sections are refused, there
+    are no rests and no error.
     """
     name, t_s = log.path.name, log.time.t_s[kept_rows]
     samples, refused, notes = _Samples(t_s, rate, accel), list[Refused](), list[str]()

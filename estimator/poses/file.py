@@ -95,7 +95,7 @@ def is_pose_session(path: Path) -> bool:
 
 
 def _put_session(file: Any, session: PoseSession) -> None:
-    """Write format, texts and all results of a session."""
+    """Write format, texts and all results of a session; gyro, board and triads have groups only if it has them."""
     file.attrs.update({"format": FORMAT, "format_version": FORMAT_VERSION})
     file.attrs.update({key: getattr(session, key) for key in _TEXTS})
     for key in _LISTS:
@@ -118,9 +118,10 @@ def _texts(group: Any, name: str) -> tuple[str, ...]:
 
 
 def _put_accelerometer(group: Any, result: PoseCalibration) -> None:
-    """Write parameters and covariance in the order of their names, and the rests as columns.
+    """Write all of a result: gravity, unit, figures of the fit, parameters, notes, and the rests as columns.
 
-    ``value`` is NaN for parameters that are not shown, ``fitted`` has all; numbers that a rest lacks are NaN.
+    Covariance and the flags ``shown`` are in the order of the parameters' ``names``. ``value`` is NaN for parameters
+    that are not shown, ``fitted`` has all; numbers that a rest lacks are NaN.
     """
     group.attrs.update({key: getattr(result, key) for key in _NUMBERS})
     group.attrs["unit"] = result.unit
@@ -198,7 +199,11 @@ def _known(value: float) -> float | None:
 
 
 def _put_gyro(group: Any, result: GyroTurnCalibration) -> None:
-    """Write matrix, biases and covariance, and the turns that were refused."""
+    """Write all of a result: figures of the fit, matrix, biases, covariance, flags, notes, and the refused turns.
+
+    Covariance and the flags ``shown`` are in the order of ``names``. A refused turn is a row of the numbers of the
+    rests before and after it, with its reason in ``refused``.
+    """
     group.attrs.update({key: getattr(result, key) for key in _GYRO_NUMBERS})
     _put_texts(group, "names", GYRO_NAMES)
     for key in ("matrix", "bias_rps", "covariance", "shown"):
@@ -231,7 +236,10 @@ def _gyro(group: Any) -> GyroTurnCalibration:
 
 
 def _put_triad(group: Any, triad: Triad) -> None:
-    """Write the twelve states of a triad in the order of their names."""
+    """Write all of a triad but its kind: matrix, bias, coverage factor, and in the order of ``names`` the others.
+
+    Those are the covariance and the flags ``shown``.
+    """
     group.attrs["factor"] = triad.factor
     _put_texts(group, "names", TRIAD_NAMES)
     for key in ("matrix", "bias", "covariance", "shown"):
@@ -252,7 +260,7 @@ def _triad(kind: str, group: Any) -> Triad:
 
 
 def _put_board(group: Any, board: Board) -> None:
-    """Write the IMUs of a board as groups by their number."""
+    """Write the figures of a board, and its IMUs as groups by their number, each with accelerometer and gyro."""
     group.attrs.update({"used": board.used, "saturated": board.saturated, "misfit_mps2": board.misfit_mps2})
     for number, imu in enumerate(board.imus):
         own = group.create_group(f"{number:03d}")

@@ -58,10 +58,10 @@ def load_description(name_or_path: str, folder: Path | None = None, device: str 
 
 
 def _checked(top: Table, source: CanChannel, signals: dict[str, Any]) -> CanChannel:
-    """Return the source with the full names of its signals, which are ``signals`` by name.
+    """Return the source with the full names of its signals, ``MESSAGE`` and a dot before the name.
 
-    The table's error if one is missing, a quantity lacks a unit (a temperature needs none), counter or time is not an
-    integer, or both are given.
+    ``signals`` has the known signals by their names alone. The table's error if one is missing, a quantity lacks a unit
+    (a temperature needs none), counter or time is not an integer, or both are given.
     """
     full: dict[str, Any] = {}
     for key in ("rate", "acceleration", "temperature", "counter", "time"):

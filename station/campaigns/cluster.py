@@ -114,8 +114,9 @@ class _Crew:
     def _ended(self, index: int, future: Any) -> Ended[Any]:
         """Return the result of the finished ``future`` of item number ``index``.
 
-        One that died with its workers (``died``) or could not begin gives an Ended with a reason. TimeoutError if the
-        result cannot be fetched now, _GoneError if the scheduler is lost (it cancelled the future).
+        An exception of the work is in that result, as the reason. An item that died with its workers (``died``) or
+        could not begin gives an Ended with a reason, too. TimeoutError if the result cannot be fetched now, _GoneError
+        if the scheduler is lost (it cancelled the future).
         """
         if future.cancelled():
             raise _GoneError(f"the scheduler at {self._address} no longer answers")

@@ -189,7 +189,9 @@ def estimate(
 def _without_estimate(attributes: Mapping[str, Any], error: EstimatorError) -> Estimated:
     """Return the result of a run that ended before it could be estimated.
 
-    ``error`` says why; it is raised if the outcome in ``attributes`` does not explain it: none, PASS or ESTIMATED.
+    ``error`` says why; it is raised if the outcome in ``attributes`` does not explain it: none, PASS or ESTIMATED. Its
+    text is added to the recorded reason; that of a run by hand is always the same. Calibration and sigma are missing
+    (see ``Estimated``); of the attributes only those of device, script, time and outcome stay.
     """
     ended = ended_of(attributes)
     if ended is None or ended.outcome in _ESTIMATED:

@@ -107,8 +107,8 @@ class ManualSequencer(Sequencer):
     def _checked(self, label: str, axis: str, angle_rad: float, rate_rps: float, given: Mapping[str, Any]) -> Move:
         """Return the move of ``axis`` to ``angle_rad`` as the table carries it out.
 
-        ``given`` may have the acceleration; by default it is the limit of the axis. ScriptError, which names ``label``,
-        if it is beyond a limit or the axis is unknown.
+        ``given`` may have the acceleration as "acceleration_rps2"; by default it is the limit of the axis. ScriptError,
+        which names ``label``, if the move is beyond a limit or the axis is unknown.
         """
         limits = self._table.limits.get(axis)
         acceleration = given.get("acceleration_rps2", limits.acceleration_rps2 if limits else 1.0)

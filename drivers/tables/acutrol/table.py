@@ -108,7 +108,8 @@ class AcutrolTable(LineTable):
         rate.
 
         The interlock of an enabled axis stays closed: opening it would cut the power of an axis that may turn. Such an
-        axis is braked with its allowed acceleration. DeviceFault if an axis is in fault or does not become enabled.
+        axis is braked with its allowed acceleration. DeviceFault if an axis is in fault or does not become enabled;
+        raises as ``status`` if a move failed before.
         """
         await self._tell(":utility:lockout on")
         for name, axis in self._axes.items():
@@ -149,7 +150,10 @@ class AcutrolTable(LineTable):
         self._watch(axis, task, await self._begin_leg(axis, task))
 
     async def read(self, axis: str) -> AxisState:
-        """Measure angle and rate; each is stamped with the middle of its own round trip."""
+        """Measure angle and rate; each is stamped with the middle of its own round trip.
+
+        The DeviceError of a move or jog that failed, of whichever axis, is raised once instead.
+        """
         self._raise_failure()
         return await self._read(axis)
 
@@ -158,8 +162,8 @@ class AcutrolTable(LineTable):
 
         A fault is one of the interlock, which is then reported as open, too. Enabled means any mode but off, with the
         interlock neither open nor in fault. An enabled axis has reached its target at the end of its move, at the rate
-        of its jog to 0.02 deg/s, and always without either. The DeviceError of a move or jog that failed is raised
-        instead.
+        of its jog to 0.02 deg/s, and always without either. The DeviceError of a move or jog that failed, of whichever
+        axis, is raised once instead.
         """
         self._raise_failure()
         interlock, mode = await self._interlock(axis), await self._mode(axis)
@@ -176,8 +180,8 @@ class AcutrolTable(LineTable):
     async def stop(self) -> str:
         """Brake every axis in rate mode with its allowed acceleration, on a new connection if necessary.
 
-        Returns in words what was seen. Moves and jogs in progress are given up. An axis that is switched off refuses
-        rate mode, which does no harm. Raises as ``bring_to_rest``.
+        Returns in words what was seen. Moves and jogs in progress are given up, and a failure of one is forgotten. An
+        axis that is switched off refuses rate mode, which does no harm. Raises as ``bring_to_rest``.
         """
         self._drop_tasks()
 
@@ -189,7 +193,10 @@ class AcutrolTable(LineTable):
         return await self._rest(lines, self._read)
 
     async def abort(self) -> None:
-        """Open every interlock at once, so that the drives lose their power, and wait for rest."""
+        """Open every interlock at once, so that the drives lose their power, and wait for rest.
+
+        Moves and jogs in progress are given up, and a failure of one is forgotten. Raises as ``bring_to_rest``.
+        """
         self._drop_tasks()
         await self._rest(lambda axis: (f":interlock:open {self._axes[axis].own.address}",), self._read)
 

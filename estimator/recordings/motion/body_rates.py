@@ -183,8 +183,10 @@ class BodyRates:
     def _ramps(self, start: int, stop: int, until: int | None = None) -> list[tuple[int, Stamps, Ramp | None]]:
         """Return the ramps between the readings before ``start`` and before ``stop``: (gimbal, corners in ns, ramp).
 
-        Readings before ``until`` are fitted; by default those up to the next change, or 3 s after. A change that cannot
-        be fitted is listed, without corners and ramp, only if the table averages its rates. Empty before the first row.
+        At most one for each gimbal, by its number, in their order. Readings before ``until`` are fitted; by default
+        those up to the next change, or 3 s after. The ``reading_rps`` of a ramp are only those of readings that are not
+        rows yet, to before ``stop``. A change that cannot be fitted is listed, without corners and ramp, only if the
+        table averages its rates. Empty as long as there are no rows.
         """
         if not len(self._rows):
             return []

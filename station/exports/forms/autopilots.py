@@ -41,8 +41,9 @@ _ARDUPILOT_REFERENCE_C = 35.0
 def write_px4(exported: Exported) -> Written:
     """Return the parameters of PX4's gyro number ``exported.instance`` (0 to 3), as QGroundControl loads them.
 
-    The file says so where the constants are so small that PX4 passes them over. UsageError for other numbers, or unless
-    there are three gyros along x, y and z.
+    These are offsets and temperature coefficients of the gyros, and, if they were exported, offsets and scales of the
+    accelerometers. The file says so if it cannot hold the latter (see ``_bias_and_scale``), and where the constants are
+    so small that PX4 passes them over. UsageError for other numbers, or unless there are three gyros along x, y and z.
     """
     held, values = _bias_only(exported, "PX4", 4)
     passed_over = np.linalg.norm(values["offsets"]) <= _PX4_STEP_RPS
@@ -58,9 +59,9 @@ def write_ardupilot(exported: Exported) -> Written:
     """Return the parameters of ArduPilot's IMU number ``exported.instance`` (0 to 2), for its ground stations.
 
     These are offsets and temperature coefficients of the gyros, and, if they were exported, offsets and scales of the
-    accelerometers. The gyros' offsets are those at the mean temperature of the calibration, if they depend on it.
-    UsageError for other
-    numbers, or unless there are three gyros along x, y and z.
+    accelerometers. The file says so if it cannot hold the latter (see ``_bias_and_scale``). The gyros' offsets are
+    those at the mean temperature of the calibration, if they depend on it. UsageError for other numbers, or unless
+    there are three gyros along x, y and z.
     """
     held, values = _bias_only(exported, "ArduPilot", 3)
     if values["thermal"]:
@@ -106,8 +107,8 @@ def _bias_and_scale(exported: Exported, form: str) -> tuple[HeldForces, dict[str
     """Return what an autopilot holds of the accelerometers, and the values for its template.
 
     Values: offsets in m/s2 and scales along x, y, z, for (output - offset) scale, and misalignments in urad as text for
-    a comment. There are none without accelerometers, and none for those that are not three along x, y and z, which a
-    line then says.
+    a comment. There are none without accelerometers, and none for those that are of several sources or not three along
+    x, y and z, which a line then says.
     """
     forces = held_forces(exported, form, triad=True)
     if forces.correction is None:

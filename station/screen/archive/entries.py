@@ -157,7 +157,8 @@ def series_of(texts: Mapping[str, str], gyros: Sequence[tuple[str, str]]) -> tup
 def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
     """Return the newest earlier run of the same series that did not fail; None if there is none, or no series.
 
-    Runs of the same instant are not earlier, so ``run`` itself may be among ``entries``.
+    Runs of the same instant are not earlier, so ``run`` itself may be among ``entries``. Entries with a value that is
+    not finite are left out.
     """
     earlier = [
         other

@@ -75,10 +75,10 @@ def _judgement_of_forces(arm: ArmSnapshot) -> tuple[str, str]:
 
 
 def _axis_lines(view: MeasuredView) -> list[Text]:
-    """Return a line for each axis below the headings, in order of the names: angle, rate and setpoint in deg, state.
+    """Return a line of headings, and one for each axis in order of the names: angle, rate, setpoint of the rate, state.
 
-    Once nothing moves, rates and setpoints are 0, and an axis that turned last is at rest. The heading says if the
-    figures are old.
+    Units are deg and deg/s. Once nothing moves, rates and setpoints are 0, and an axis that turned last is at rest. The
+    heading says if the figures are old.
     """
     axes = sorted(view.snapshot.axes, key=lambda axis: axis.name)
     heads = ["axis", "     angle deg", "    rate deg/s", "setpoint deg/s"]
