@@ -57,6 +57,7 @@ class Table:
         """Poll all axes every ``poll_s`` until each is at home.
 
         After a minute ``_give_up_homing`` is called, and DeviceRefused raised, naming the axes that are not home.
+        Raises as ``_at_home`` before.
         """
         loop = asyncio.get_running_loop()
         deadline = loop.time() + _HOMING_LIMIT_S

@@ -43,7 +43,7 @@ class LineTable(Table):
         return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
 
     async def _tell(self, line: str) -> None:
-        """Send a command that answers nothing but that it is done."""
+        """Send a command that answers nothing but that it is done; DeviceRefused if it is refused."""
         await self._ask(line, self._done)
 
     async def _ask(self, line: str, pattern: re.Pattern[str]) -> Answer:

@@ -13,7 +13,7 @@ _BY_NAME = dict(_BUILT_IN)
 
 
 def records() -> tuple[Record, ...]:
-    """Return every effect that is known."""
+    """Return every effect that is known: built-in ones by family, then those registered, in that order."""
     return tuple(_BY_NAME.values())
 
 

@@ -9,7 +9,7 @@ from estimator.types import Floats
 
 
 def _waves(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of cosine and sine of a frequency."""
+    """Return the columns (N, 2) of cosine and sine of ``frequency_hz``, from the instant 0 on."""
     turning_rps = 2 * np.pi * float(settings["frequency_hz"])
     phase = turning_rps * conditions.t_s
     return np.column_stack([np.cos(phase), np.sin(phase)])

@@ -268,7 +268,7 @@ class Effect:
         return self.at(conditions, Axes(array.p[gyro], array.j[gyro], array.k[gyro]))
 
     def at(self, conditions: Conditions, axes: Axes) -> Floats:
-        """Return the regressors (N, parameters) of a gyro with these axes."""
+        """Return the regressors (N, parameters) of a gyro with these axes, in the order of the parameters."""
         return self.regressors(conditions, axes).reshape(len(conditions.t_s), len(self.parameters))
 
     @property
@@ -289,7 +289,10 @@ class Effect:
 
 
 def family(name: str, /, **coded: dict[str, Any]) -> tuple[Record, ...]:
-    """Return the effects of the family file NAME.toml; ``coded`` adds by effect what only code can define."""
+    """Return the effects of the family file NAME.toml in its order; ``coded`` has by effect what only code can define.
+
+    Fields in ``coded`` replace those of the file; effects that the file lacks are ignored.
+    """
     found = []
     for effect, facts in packaged_toml("estimator.effects", f"{name}.toml").items():
         read = {key: _READ[key](value) if key in _READ else value for key, value in facts.items()}

@@ -13,7 +13,7 @@ _MISSED = 0.3  # by which the length of Earth rate may come out larger than it i
 
 
 def _of_the_base(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of Earth rate as three components in the base frame."""
+    """Return the columns (N, 3) of Earth rate as three components along x, y, z of the base."""
     return conditions.once("axes of the base", lambda: _base_in_body(conditions)) @ axes.p
 
 

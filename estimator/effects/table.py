@@ -12,7 +12,10 @@ from estimator.types import Floats
 
 
 def _turning(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the columns of cosine and sine of ``order`` times the angle of an ``axis``, by default of all."""
+    """Return the columns of cosine and sine of ``order`` times the angle of an ``axis``, by default of all.
+
+    The two of an axis stand side by side, those of the outermost axis first.
+    """
     names = [settings["axis"]] if "axis" in settings else conditions.gimbals
     waves = (f"{part}({settings['order']}*angle_{name})" for name in names for part in ("cos", "sin"))
     return columns_of("; ".join(waves), conditions, axes)
@@ -28,8 +31,8 @@ def _tilt_columns(settings: Settings, conditions: Conditions, axes: Axes) -> Flo
     """Return the columns (N, 2 for each inner axis) of axes tilted towards the two others; (N, 0) for a single axis.
 
     Inner axes come outermost first, and each is tilted first towards the next of x, y, z, x, y, then towards the one
-    after it. The outermost axis defines the base. With a small rotation d that tilts an axis, R' becomes (1 + d x) R' (1 - d x),
-    and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
+    after it. The outermost axis defines the base. With a small rotation d that tilts an axis, R' becomes (1 + d x) R'
+    (1 - d x), and the error of the body rate w becomes R' error + d x w - R' (d x (w before)).
     """
     if len(conditions.gimbals) < 2:
         return np.empty((len(conditions.t_s), 0))
@@ -37,7 +40,10 @@ def _tilt_columns(settings: Settings, conditions: Conditions, axes: Axes) -> Flo
 
 
 def _all_tilted(conditions: Conditions) -> Floats:
-    """Return the errors of the body rate (N, tilts, 3) per radian of each tilt of each inner axis."""
+    """Return the errors of the body rate (N, tilts, 3) per radian of each tilt of each inner axis.
+
+    Their order is that of ``_tilt_columns``; there must be two axes or more.
+    """
     gimbals = conditions.gimbals
     tilts = [_error_of_tilt(conditions, inner, d) for inner in range(1, len(gimbals)) for d in _tilts(gimbals[inner])]
     return np.stack(tilts, axis=1)
@@ -48,7 +54,7 @@ def _tilts_of(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ..
 
 
 def _faster(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the part of the rate about the sense axis that each axis of the table makes."""
+    """Return the part of the rate about the sense axis that each axis of the table makes: (N, g), outermost first."""
     return columns_of("; ".join(f"u_{axis}" for axis in conditions.gimbals), conditions, axes)
 
 

@@ -24,7 +24,7 @@ def reference_rows(reference: Measured, table: Table) -> Floats:
     """Return the rows of a reference in a file: attitudes (rows, 4) as w x y z, rates (rows, 3) or angles (rows, 1).
 
     Attitudes are body to reference, also where the columns are rotation matrices. They are scaled to length 1; those
-    off by more than 5 % are NaN. RecordingError if no row is usable.
+    off by more than 5 % are NaN. RecordingError if no row is usable, or the columns have another width or length.
     """
     rows = table.values(reference.columns, f"[reference] column{'s' * (reference.kind != 'angle')}")
     if reference.columns.width == _MATRIX:
@@ -66,7 +66,10 @@ def external_reference(reference: Measured, t_ns: Stamps, rows: Floats) -> Refer
 
 
 def _encoder(gimbal: str, t_ns: Stamps, angle_rad: Floats) -> TableReadings:
-    """Return an encoder's angle (k,) as a table of one axis: its slope is the rate, its turns are counted."""
+    """Return an encoder's angle (k,) as a table of one axis: its slope is the rate, its turns are counted.
+
+    Rows that are not finite are dropped.
+    """
     known = np.isfinite(angle_rad)
     t_ns, angle = t_ns[known], np.unwrap(angle_rad[known])[:, None]
     return TableReadings(

@@ -74,7 +74,7 @@ def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
     """Return one recording of all files, in the order given, and what was refused.
 
     A file that cannot be used is refused and the others are imported; reference files among ``data_paths`` are skipped.
-    RecordingError, with every reason, if nothing is left.
+    RecordingError, with every reason, if nothing is left; also if no file is given or gyros are mixed up.
     """
     if not data_paths:
         raise RecordingError("no data file is given. Name at least one after the mapping")
@@ -195,7 +195,7 @@ def _rows_beside(
     ``gyros`` are instants and rates of the data file. The offset between the files is stated, by stamps of one clock,
     or by the motion. Stamps of two clocks are corrected if they drift apart; where stamps scatter, the motion decides
     between them and an even grid. Rows more than 1 s before or after the data file are left out. Notes are appended to
-    ``notes``. RecordingError if the files do not overlap.
+    ``notes``. RecordingError if the files do not overlap, or the other one cannot be read or has no usable row.
     """
     path, time, name = other.beside(log.path), log.time, other.beside(log.path).name
     table = read_table(path, other.format, wanted(other.timing, reference.columns.names))
@@ -298,7 +298,7 @@ def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: i
 
     They are interpolated between its complete rows, at its stamps plus the offset stated. NaN beyond its ends, and in
     rows of the data file that are not kept. Notes are appended to ``notes``. RecordingError if the files do not
-    overlap.
+    overlap, or the other one cannot be read.
     """
     path = other.beside(log.path)
     table = read_table(path, other.format, wanted(other.timing, accelerometer.names))

@@ -44,7 +44,10 @@ class Log:
 
 
 def wanted(timing: Timing, columns: Sequence[str], labels: tuple[str, ...] = ()) -> Wanted:
-    """Return the columns wanted of a file: its stamps and others."""
+    """Return the columns wanted of a file: its stamps, or the variable of its rate, then ``columns`` and ``labels``.
+
+    Only ``columns`` may be blank.
+    """
     needed = timing.stamps.names if timing.stamps else (timing.rate,) if isinstance(timing.rate, str) else ()
     return Wanted(needed, tuple(columns), labels, timing.calendar)
 

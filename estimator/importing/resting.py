@@ -58,9 +58,9 @@ def rests_of(
 
     They are those of sections, the whole file, or quiet stretches, as stated. ``kept_rows`` (rows,) are the numbers of
     the kept rows of the gyro's ``rate`` and the accelerometer's ``accel`` (rows, m). Notes say how long it rests, which
-    labels count as motion, and what is odd about poses or gravity. RecordingError if there is no rest, a named section
-    is missing or begins after the file, or the direction up is needed and not known. If all sections are refused, there
-    are no rests and no error.
+    labels count as motion, and what is odd about poses or gravity. RecordingError if there is no rest, or up is
+    measured elsewhere than stated; sections are refused for that instead, even if no rest is left. RecordingError, too,
+    if a named section is missing or begins after the file, or the direction up is needed and not known.
     """
     name, t_s = log.path.name, log.time.t_s[kept_rows]
     samples, refused, notes = _Samples(t_s, rate, accel), list[Refused](), list[str]()
@@ -132,7 +132,8 @@ def rest_text(rest: Rest, file_s: float) -> str:
 def _stated_rest(samples: _Samples, first: int, stop: int, pose: Pose, stated: Rests) -> Rest:
     """Return the rest of the rows from ``first`` to before ``stop``, with its ``pose``.
 
-    RecordingError if they are fewer than two, turn on average, or move in between by more than the limit of ``stated``.
+    RecordingError if they are fewer than two, turn on average, or move in between by more than the limit of ``stated``,
+    or if up is measured elsewhere than stated in ``pose``.
     """
     t_s, part = samples.t_s, samples.rate[first:stop]
     if len(part) < 2:
@@ -158,7 +159,7 @@ def _quiet_stretches(samples: _Samples, pose: Pose, stated: Rests) -> list[Rest]
 
     Rests have the scatter of the quietest windows, and nearly their mean, as a steady turn is equally quiet. An
     accelerometer must be quiet as well, and keep its direction. A window at each end is left out, as a motion may begin
-    in it. RecordingError if there is none, or too few rows to tell.
+    in it. RecordingError if there is none, too few rows to tell, or up is measured elsewhere than stated in ``pose``.
     """
     t_s, rate, accel = samples.t_s, samples.rate, samples.accel
     rows = _window_rows(t_s)

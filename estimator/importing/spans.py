@@ -49,7 +49,7 @@ class Span:
 def turn_spans(mapping: Mapping, stated: StatedTurns, log: Log, rate: Floats) -> tuple[list[Span], list[Refused]]:
     """Return the turns of a file with gyro outputs ``rate`` (rows, m), and its refused sections.
 
-    Without sections the file is a single turn; RecordingError if that is invalid.
+    Without sections the file is a single turn; RecordingError if that is invalid, or as ``of_sections``.
     """
     t_s, rows = log.time.t_s, rate[log.time.rows]
     if not stated.sections:
@@ -87,8 +87,8 @@ def of_sections(
 ) -> tuple[list[T], list[Refused]]:
     """Return ``read(name, first, stop)`` for each section (numbers of kept rows), and the sections that it refuses.
 
-    Refused are those for which it raises RecordingError. RecordingError is raised if sections are missing or unknown,
-    as in ``_section_rows``.
+    Refused are those for which it raises RecordingError. Both are in the order of ``_section_rows``, whose
+    RecordingError passes.
     """
     found: list[T] = []
     refused: list[Refused] = []
@@ -103,8 +103,9 @@ def of_sections(
 def _section_rows(mapping: str, stated: StatedTurns | Rests | KnownSections, log: Log) -> list[tuple[str, int, int]]:
     """Return (name, first, stop) of each named section in kept rows, by labels, a list, or limits in seconds.
 
-    ``mapping`` is the name of the mapping. RecordingError if a named section is missing or begins after the file; for
-    turns also if the file has one that is not named. Unnamed sections of rests are skipped.
+    They are in the order of labels, list or limits; a label that comes again gives another section of the name.
+    ``mapping`` is the name of the mapping. RecordingError if a named section is missing or begins after the file, or
+    the list is invalid; for turns also if the file has one that is not named, while else such sections are skipped.
     """
     cuts, names, path, all_named = stated.cuts, stated.sections, log.path, isinstance(stated, StatedTurns)
     edges, last_s = log.time.rows if not cuts.limits_s else log.time.t_s, float(log.time.t_s[-1])

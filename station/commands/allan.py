@@ -29,6 +29,7 @@ def command_allan(arguments: argparse.Namespace) -> int:
     """Print N, B and K (white noise, instability, random walk) of every sensor of a recording at rest; return 0.
 
     A sensor that cannot be used is named on stderr; RecordingError if none can. With --plot a picture is drawn, too.
+    UsageError for a wrong --uncertainty, and for a picture that cannot be written, before the long work.
     """
     picture = Path(arguments.plot) if arguments.plot else None
     if picture is not None:

@@ -74,7 +74,8 @@ def command_calibrate(arguments: argparse.Namespace) -> int:
     """Calibrate each recording, print the results, and return the worst exit code.
 
     With --join all are calibrated together. A recording that fails does not keep the others. Files of the station that
-    are not recordings are skipped if a folder was named, else an error.
+    are not recordings are skipped if a folder was named, else an error. UsageError for a folder without recordings;
+    errors in the files of --bench, --model and --undeclared are raised, too.
     """
     names = recordings_of(arguments.recordings)
     if arguments.join:

@@ -34,7 +34,7 @@ def print_computer(findings: Sequence[Finding]) -> None:
 def command_check(arguments: argparse.Namespace) -> int:
     """Check every used device of a bench, and this computer; print the answers.
 
-    Return 0 if nothing is wrong, else 4.
+    Return 0 if nothing is wrong, else 4. Raises as ``chosen_bench``.
     """
 
     def tell(device: str) -> None:

@@ -65,7 +65,8 @@ def command_export(arguments: argparse.Namespace) -> int:
 def _export_series(arguments: argparse.Namespace) -> int:
     """Write the series of a device as CSV to --output or stdout, times in s, units in the headings; return 0.
 
-    UsageError if the recording has none of this name, or for options that do not go together.
+    UsageError if the recording has none of this name, the file cannot be written, or options do not go together.
+    RecordingError if the recording cannot be read.
     """
     if arguments.recording is None or arguments.format is not None:
         raise UsageError("--series takes a recording and no --format: `station export RUN.h5 --series NAME`")
@@ -179,7 +180,7 @@ def _write_form(name: str, form: Format, exported: Exported, arguments: argparse
     """Return the calibration in the format ``form``, called ``name``.
 
     UsageError, with what to do, for several devices in a format of one, if the format cannot hold it, or a plug-in
-    fails.
+    fails. What else a built-in format raises passes, such as CompensationError.
     """
     if form.of_one_device and len(exported.devices) > 1 and not arguments.device:
         raise UsageError(sentence("export.several", recording=arguments.recording, devices=", ".join(exported.devices)))

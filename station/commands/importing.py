@@ -30,7 +30,7 @@ def command_import(arguments: argparse.Namespace) -> int:
     """Convert data of other programs to a recording; return 2 if a file was lost, else 0.
 
     With --look show a file instead. Sessions in which hands laid the device in many poses become a calibration.
-    UsageError without mapping, data or output.
+    UsageError without mapping, data or output. RecordingError if nothing can be imported, or the recording exists.
     """
     if arguments.look is not None:
         return _look(arguments)
@@ -49,7 +49,10 @@ def command_import(arguments: argparse.Namespace) -> int:
 
 
 def _calibrate_by_hand(arguments: argparse.Namespace, output: Path) -> int:
-    """Calibrate from rests in many poses, print the result and write it; return 2 if a file was lost, else 0."""
+    """Calibrate from rests in many poses, print the result and write it; return 2 if a file was lost, else 0.
+
+    UsageError, before the work, if the file exists; RecordingError if nothing can be calibrated.
+    """
     check_new_file(output, "--output")
     mapping = read_pose_mapping(Path(arguments.mapping), PROTOCOLS)
     session = calibrate_by_hand(mapping, [Path(name) for name in arguments.data])
@@ -90,7 +93,8 @@ def _print_imported(imported: Imported, output: Path, *, as_json: bool) -> None:
 def _look(arguments: argparse.Namespace) -> int:
     """Show the columns of a file with guesses, and print the mapping or write it to --output; return 0.
 
-    A calibration by poses is printed as it was when it was made.
+    A calibration by poses is printed as it was when it was made, unless --output is given. UsageError if that file
+    exists, RecordingError if the one to show cannot be read.
     """
     output = Path(arguments.output) if arguments.output else None
     if output is not None:

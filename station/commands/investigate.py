@@ -119,7 +119,8 @@ def _check_apart(fitted: Sequence[str], judging: Sequence[str]) -> None:
 def limits_of(recordings: Sequence[Recording], bench: Path | None) -> Limits | None:
     """Return the limits of the table from a bench file, else from the first recording that carries a bench.
 
-    None if there is neither. Recordings without a table do not count.
+    None if there is neither. Recordings without a table do not count. BenchError for an invalid bench file, UsageError
+    for an invalid bench in a recording.
     """
     if bench is not None:
         return Limits(load_bench(bench).table.limits, str(bench))

@@ -81,7 +81,10 @@ def command_report(arguments: argparse.Namespace) -> int:
 
 
 def _recorded(arguments: argparse.Namespace) -> "Recorded":
-    """Return the recording with its calibration, or with that of all recordings with --join."""
+    """Return the recording with its calibration, or with that of all recordings with --join.
+
+    RecordingError, and with --join UsageError, as ``read_recorded`` and ``read_joined``.
+    """
     from station.report.recorded import read_joined, read_recorded
 
     path, others = Path(arguments.recording), [Path(name) for name in arguments.join]

@@ -39,8 +39,8 @@ def check_facts(formal: Formal) -> None:
 def make_dcc(recorded: Recorded, formal: Formal, report: Report, pdf: bytes | None = None) -> bytes:
     """Return the digital calibration certificate as XML in UTF-8, valid by the schema, with the PDF embedded if given.
 
-    Characters that XML forbids are replaced by U+FFFD. UsageError if the report is neither a certificate nor a
-    specimen, if mandatory facts are missing, or if the result is not valid.
+    A stylesheet for browsers is always embedded. Characters that XML forbids are replaced by U+FFFD. UsageError if the
+    report is neither a certificate nor a specimen, if mandatory facts are missing, or if the result is not valid.
     """
     check_facts(formal)
     if report.standing.kind not in (Kind.CERTIFICATE, Kind.SPECIMEN):

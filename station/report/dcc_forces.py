@@ -52,10 +52,11 @@ class ForceResult:
 
 
 def force_results(forces: tuple[ForceCalibration, ...], before: str, dsi: Mapping[str, str]) -> list[ForceResult]:
-    """Return the results of the accelerometers of all sources: one for each accelerometer, then one for the triad.
+    """Return the results of the accelerometers, source by source: one for each of them, then one for the triad.
 
-    Sources without a calibrated accelerometer are left out. ``before`` begins the ids. ``dsi`` has the units of effects
-    in D-SI by their SI names.
+    That of an accelerometer lists its states, its place, and its effects if it has any; that of the triad see
+    ``_triad``. Sources without a calibrated accelerometer are left out. ``before`` begins the ids. ``dsi`` has the
+    units of effects in D-SI by their SI names.
     """
     found = []
     for number, one in enumerate(forces):
@@ -98,7 +99,7 @@ def _quantity(name: str, value: float, unit: str, sd: float) -> Quantity:
 
 
 def _states(accelerometer: AccelerometerCalibration) -> QuantityList:
-    """Return the states of an accelerometer."""
+    """Return the states of an accelerometer: k, b, sigma_j and sigma_k."""
     rows = zip(ACCELEROMETER.keys, accelerometer.states, accelerometer.sd, strict=True)
     return QuantityList(
         name="States", quantities=tuple(_quantity(_STATES[key][0], x, _STATES[key][1], sd) for key, x, sd in rows)
@@ -106,7 +107,7 @@ def _states(accelerometer: AccelerometerCalibration) -> QuantityList:
 
 
 def _place(accelerometer: AccelerometerCalibration) -> QuantityList:
-    """Return where an accelerometer sits."""
+    """Return where an accelerometer sits, in m along x, y and z."""
     rows = zip("xyz", accelerometer.place_m, accelerometer.place_sd_m, strict=True)
     return QuantityList(
         name="Place, from the point in which the axes of the table meet",

@@ -136,14 +136,20 @@ class AcutrolTable(LineTable):
         await self._wait_for_home(_POLL_S)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (rate mode) until the next command."""
+        """Turn an axis at a rate (rate mode) until the next command.
+
+        DeviceRefused if rate mode is not entered within 1 s. A failure later is raised by ``read`` or ``status``.
+        """
         self._moved, task = axis, _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
         self._axes[axis].task = task
         await self._turn(axis, task.rate_dps, task.acceleration_dps2)
         self._watch(axis, task)
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home; it continues in the background, over any number of turns."""
+        """Start a move to an angle from home; it continues in the background, over any number of turns.
+
+        DeviceRefused if a mode is not entered within 1 s. A failure later is raised by ``read`` or ``status``.
+        """
         self._moved = axis
         task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
         self._axes[axis].task = task

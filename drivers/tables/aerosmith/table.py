@@ -89,7 +89,7 @@ class AerosmithTable(LineTable):
         self._started_s = -math.inf
 
     async def open(self) -> None:
-        """Open the link and ask for the status; LinkLost if the table does not answer."""
+        """Open the link and ask for the status; LinkLost if the table does not answer. Turns counted are forgotten."""
         await self._exchange.open()
         self._unwrapper.restart()
 
@@ -104,7 +104,10 @@ class AerosmithTable(LineTable):
         self._servo_on = True
 
     async def home(self) -> None:
-        """Turn to the table's home position and wait for it; angles count from there."""
+        """Turn to the table's home position and wait for it; angles count from there.
+
+        DeviceFault if the table reports a fault, DeviceRefused if homing takes more than a minute.
+        """
         self.homing = set(self.limits)
         await self._set_acceleration(self.limits[self._axis].acceleration_rps2)
         await self._start("HOM")
@@ -116,7 +119,10 @@ class AerosmithTable(LineTable):
         return await super()._at_home(axis)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn at a whole number of deg/s until the next command; DeviceRefused for any other rate."""
+        """Turn at a whole number of deg/s until the next command, with the acceleration rounded down to whole deg/s2.
+
+        DeviceRefused for any other rate, or an acceleration below 1 deg/s2.
+        """
         rate = self._whole_rate(rate_rps)
         await self._set_acceleration(acceleration_rps2)
         await self._start(f"JOG{rate}")
@@ -162,12 +168,18 @@ class AerosmithTable(LineTable):
         return AxisStatus(self._servo_on and not faulty, reached, fault, text)
 
     async def stop(self) -> str:
-        """Stop (STO) and wait for rest, over a new connection if need be."""
+        """Stop (STO) and wait for rest, over a new connection if need be; return in words what was seen.
+
+        Raises as ``bring_to_rest``.
+        """
         self._target_deg, self._jog_dps = None, None
         return await self._rest(lambda axis: ("STO",), self.read)
 
     async def abort(self) -> None:
-        """Switch the servo off; a table that does not know SRV is stopped by STO all the same. Waits for rest."""
+        """Switch the servo off and wait for rest; a table that does not know SRV is stopped by STO all the same.
+
+        Raises as ``bring_to_rest``.
+        """
         self._target_deg, self._jog_dps, self._servo_on = None, None, False
         await self._rest(lambda axis: ("STO", "SRV0"), self.read)
 

@@ -124,8 +124,8 @@ class GalilTable(LineTable):
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate, rounded to counts/s; a jogging axis changes its rate without a halt.
 
-        An axis that moves otherwise, or has ended its jog, is halted first. DeviceRefused beyond the limits of the axis
-        or below half a count/s.
+        An axis that moves otherwise, or has ended its jog, is halted first, which raises as ``bring_to_rest``.
+        DeviceRefused beyond the limits of the axis, which the gentlest ramp may be, or below half a count/s.
         """
         self._moved, letter = axis, self._axes[axis].address
         rate = self._rate(axis, rate_rps, acceleration_rps2)
@@ -139,10 +139,11 @@ class GalilTable(LineTable):
         await self._begin([axis])
 
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
-        """Start a move to an angle from home; an axis that moves is halted first.
+        """Start a move to an angle from home; an axis that moves is halted first, which raises as ``bring_to_rest``.
 
         ``rate_rps`` is a speed, of which the sign is ignored; it is rounded down to an even number of counts/s, at
-        least 2. DeviceRefused beyond the limits of the axis or of the controller's counter, or below half a count/s.
+        least 2. DeviceRefused beyond the limits of the axis, which the gentlest ramp may be, or of the controller's
+        counter, or below half a count/s.
         """
         self._moved, letter = axis, self._axes[axis].address
         target, rate = self._counts(axis, angle_rad), abs(self._rate(axis, rate_rps, acceleration_rps2))
@@ -201,7 +202,10 @@ class GalilTable(LineTable):
         return await self._rest(lambda axis: (braking, f"ST{self._axes[axis].address}"), self.read, idle)
 
     async def abort(self) -> None:
-        """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set."""
+        """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set.
+
+        Raises as ``bring_to_rest``.
+        """
         self._powered.clear()
         self._jogs.clear()
         await self._rest(lambda axis: ("AB",), self.read)

@@ -94,7 +94,10 @@ class ModbusTable(Table):
             await self._make_ready(axis)
 
     async def _make_ready(self, axis: str) -> None:
-        """Write the registers that the profile requires on a new connection, before the first command over it."""
+        """Write the registers that the profile requires on a new connection, before the first command over it.
+
+        That is tried once for each connection: after a failure, which is raised, the axis counts as ready all the same.
+        """
         if axis not in self._ready:
             self._ready.add(axis)
             for name, value in self._profile.on_open:
@@ -297,7 +300,10 @@ class ModbusTable(Table):
         return bool(asked) and int(await self._read(axis, register)) != closed
 
     async def stop(self) -> str:
-        """Quick-stop every drive along its ramp, over a new connection if necessary, and return what was seen."""
+        """Quick-stop every drive along its ramp, over a new connection if necessary, and return what was seen.
+
+        Raises as ``bring_to_rest``.
+        """
         return await self._rest("quick_stop")
 
     async def abort(self) -> None:
@@ -305,7 +311,10 @@ class ModbusTable(Table):
         await self._rest("abort")
 
     async def _rest(self, command: str) -> str:
-        """Send a stop command to all drives without asking first; an error of one does not delay the others."""
+        """Send a stop command to all drives without asking first, wait for rest, and return what was seen.
+
+        An error of one drive does not delay the others. Raises as ``bring_to_rest``.
+        """
         return await self._bring_to_rest(partial(self._tell, command), self.read)
 
     async def _tell(self, command: str, axis: str) -> None:
@@ -351,7 +360,10 @@ class ModbusTable(Table):
             raise failures[0]
 
     async def _leave_quick_stop(self, axis: str) -> None:
-        """Take power off a drive that stays in quick stop, as it does for 605Ah = 5 to 8 (CiA 402 transition 12)."""
+        """Take power off a drive that stays in quick stop, as it does for 605Ah = 5 to 8 (CiA 402 transition 12).
+
+        DeviceRefused if it does not leave quick stop within 2 s; others are left alone.
+        """
         if await self._state(axis) is cia402.DriveState.QUICK_STOP_ACTIVE:
             await self._write(axis, "controlword", cia402.DISABLE_VOLTAGE)
             await self._wait_for_state(axis, cia402.DriveState.SWITCH_ON_DISABLED)

@@ -320,7 +320,7 @@ class BodyRates:
     def _interpolated(self, t_ns: Stamps, *names: str) -> list[Floats]:
         """Return the named columns of final rows, each (rows, gimbals), at ordered instants, linear in between.
 
-        Beyond the final rows the values are those of the nearest.
+        They come in the order of ``names``. Beyond the final rows the values are those of the nearest.
         """
         n, times = len(self._final), self._final["t_ns"]
         first = min(max(int(times.searchsorted(t_ns[0], side="right")) - 1, 0), n - 1)

@@ -65,5 +65,8 @@ def integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Sta
 
 
 def drift_of(before: GrowingRows, drift: Floats) -> Floats:
-    """Return by how much the angle is beyond the summed rate in the row before, or where that begins."""
+    """Return by how much the angle is beyond the summed rate (1, gimbals) in the last row of ``before``.
+
+    Without such a row it is the first of ``drift`` (k, gimbals), the same of new rows.
+    """
     return before["angle"][-1:] - before["summed"][-1:] if len(before) else drift[:1]

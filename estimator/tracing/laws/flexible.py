@@ -85,7 +85,7 @@ def _nodes_of_rate(name: str, runs: Sequence[Run]) -> list[float]:
 def _nodes(name: str, runs: Sequence[Run], count: int = _NODES) -> list[float]:
     """Return ``count`` nodes at equal distances over the range of a variable in the runs; empty if it does not vary.
 
-    They are whole multiples of their distance, above the lowest value and up to the highest.
+    They are whole multiples of their distance, above the lowest value and up to the highest; NaN is ignored.
     """
     low, high = _ends(name, runs)
     if not high > low:

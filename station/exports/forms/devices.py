@@ -19,7 +19,8 @@ from station.exports.written import Written, as_triad, from_template
 def write_vectornav(exported: Exported) -> Written:
     """Return the commands that set and store register 84; the axes stay those that the gyros nominally have.
 
-    Accelerometers, if exported, are noted as lacking. UsageError unless there are three gyros.
+    Effects beside the constants, and accelerometers if exported, are noted as lacking. UsageError unless there are
+    three gyros, CompensationError if they do not span space.
     """
     constants, dropped = as_triad(exported, "register 84 of VectorNav")
     matrix = exported.compensation.array.p @ constants.solution
@@ -31,7 +32,8 @@ def write_vectornav(exported: Exported) -> Written:
 def write_vectornav_force(exported: Exported) -> Written:
     """Return the commands that set and store register 25; the axes stay those that the accelerometers nominally have.
 
-    UsageError without three calibrated accelerometers.
+    What else is known of them is noted as lacking. UsageError without three calibrated accelerometers of one source
+    that span space.
     """
     forces = held_forces(exported, "register 25 of VectorNav", triad=True)
     correction = forces.held

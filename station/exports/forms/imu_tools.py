@@ -21,7 +21,10 @@ _IMUCAL_FORMAT = "2.0.0"
 
 
 def write_imu_tk_acc(exported: Exported) -> Written:
-    """Return the file of imu_tk for three accelerometers; UsageError without, or if they form a left-handed triad."""
+    """Return the file of imu_tk for three accelerometers, with the rotation from the body to its axes in a comment.
+
+    UsageError without three of one source that span space, or if they form a left-handed triad.
+    """
     forces = held_forces(exported, "imu_tk", triad=True)
     correction = forces.held
     rotation = _imu_tk_axes(forces)
@@ -32,7 +35,8 @@ def write_imu_tk_acc(exported: Exported) -> Written:
 def write_imu_tk_gyro(exported: Exported) -> Written:
     """Return the file of imu_tk for three gyros, in the axes that the accelerometers set, or of the body without them.
 
-    UsageError if the gyros are not three, or not in the order of the accelerometers.
+    The rotation from the body to these axes is in a comment. UsageError if the gyros are not three, or not in the order
+    of the accelerometers, or these form a left-handed triad; CompensationError if the gyros do not span space.
     """
     constants, dropped = as_triad(exported, "imu_tk")
     forces = held_forces(exported, "imu_tk", triad=True)

@@ -34,17 +34,20 @@ _FORCE_FORMULA = (
 
 
 def write_json(exported: Exported) -> Written:
-    """Return everything as one JSON object, SI units."""
+    """Return everything as one JSON object, SI units; UsageError for a number that is not finite."""
     return Written(json_text(_object(exported)))
 
 
 def write_yaml(exported: Exported) -> Written:
-    """Return the same as YAML."""
+    """Return the same as YAML; UsageError as ``write_json``."""
     return Written(yaml_text(_object(exported)))
 
 
 def write_matlab(exported: Exported) -> Written:
-    """Return the same as a MAT-file of version 5: the struct ``calibration``, lists of structs as cells."""
+    """Return the same as a MAT-file of version 5: the struct ``calibration``, lists of structs as cells.
+
+    What is null in JSON is left out, and keys become names that MATLAB allows. UsageError as ``write_json``.
+    """
     file = io.BytesIO()
     savemat(file, {"calibration": _matlab(json.loads(json_text(_object(exported))))}, long_field_names=True)
     text = b"MATLAB 5.0 MAT-file, turntable calibration"  # in place of one with the time of writing

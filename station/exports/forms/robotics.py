@@ -26,8 +26,8 @@ from station.exports.written import Written, as_triad, from_template
 def write_ros(exported: Exported) -> Written:
     """Return a file that imu_calib loads, with the gyros in keys of the same form: gyro_SM y - gyro_bias.
 
-    SM and bias are those of the accelerometers, or leave accelerations as they are if none are exported. UsageError if
-    there are not three gyros.
+    SM and bias are those of the accelerometers, or leave accelerations as they are if none can be held. UsageError if
+    there are not three gyros, CompensationError if they do not span space.
     """
     constants, dropped = as_triad(exported, "imu_calib")
     h = constants.solution
@@ -41,15 +41,19 @@ def write_ros(exported: Exported) -> Written:
 
 
 def write_kalibr(exported: Exported) -> Written:
-    """Return an imu.yaml for Kalibr with the intrinsics of its model "scale-misalignment".
+    """Return an imu.yaml for Kalibr with the intrinsics of its model "scale-misalignment", noise and sample rate.
 
-    Raises UsageError for gyros that are not three, or form a left-handed triad.
+    If accelerometers are exported and can be held (see ``_forces``), they are in it, too, and the model is
+    "scale-misalignment-size-effect". UsageError for gyros that are not three, or form a left-handed triad.
     """
     return _chain(exported, "kalibr", "Kalibr")
 
 
 def write_openvins(exported: Exported) -> Written:
-    """Return a kalibr_imu_chain.yaml for OpenVINS and its model "kalibr"; UsageError as ``write_kalibr``."""
+    """Return a kalibr_imu_chain.yaml for OpenVINS and its model "kalibr", with noise and sample rate.
+
+    Accelerometers that are exported and can be held are in it, too. UsageError as ``write_kalibr``.
+    """
     return _chain(exported, "openvins", "OpenVINS")
 
 

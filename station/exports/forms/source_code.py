@@ -33,12 +33,15 @@ _MATH = ("cos", "exp", "expm1", "fabs", "isfinite", "isnan", "log1p", "nan", "si
 
 
 def write_c(exported: Exported) -> Written:
-    """Return the header; CompensationError for gyros that do not span space."""
+    """Return the header, with all that ``_header`` says; CompensationError for gyros that do not span space."""
     return _header(exported, "double", identifier(exported.name))
 
 
 def write_c_float(exported: Exported) -> Written:
-    """Return the header in single precision, under names of its own: both can be in one program."""
+    """Return the header in single precision, under names of its own: both can be in one program.
+
+    CompensationError for gyros that do not span space.
+    """
     written = _header(exported, "float", f"{identifier(exported.name)}_float")
     return Written(_DOUBLE.sub(_single, str(written.text)), written.not_held)
 
@@ -46,8 +49,8 @@ def write_c_float(exported: Exported) -> Written:
 def _header(exported: Exported, real: str, prefix: str) -> Written:
     """Return the C99 header, in type ``real`` and with names that begin with ``prefix``, and what it leaves out.
 
-    It corrects accelerometers, too, if they are exported, and has inputs and results to test it with. CompensationError
-    for gyros that do not span space.
+    It corrects accelerometers, too, if they are exported, has inputs and results to test it with, and macros of
+    identity and validity (see ``_macros``). CompensationError for gyros that do not span space.
     """
     terms = terms_of(exported.compensation)
     forces = _held_forces(exported)

@@ -46,7 +46,7 @@ class Guard:
     def start(self) -> None:
         """Start the process, which is ready a fraction of a second later; nothing without devices.
 
-        The loop must run. A failure to start it is only reported; it counts as one of the five starts.
+        An event loop must be running. A failure to start it is only reported; it counts as one of the five starts.
         """
         if self._devices is None:
             return

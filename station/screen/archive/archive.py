@@ -76,7 +76,10 @@ class Archive:
         return await self._read(path, when_utc_s, with_samples=True)
 
     async def accept(self, path: Path, attributes: Mapping[str, str]) -> str:
-        """Write the acceptance into a recording; return the error, empty if there is none."""
+        """Write the acceptance into a recording; return the error, empty if there is none.
+
+        After an error all reading processes are ended: the next call begins new ones.
+        """
         async with self._turn:
             wrong = str(await self._do("accept", path, dict(attributes), limit_s=_WRITE_LIMIT_S))
             if wrong:  # HDF5 does not get over a write that failed

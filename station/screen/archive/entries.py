@@ -170,7 +170,7 @@ def last_comparable(run: Entry, entries: Iterable[Entry]) -> Entry | None:
 
 
 def comparable(entries: Iterable[Entry], ignored: int = 0) -> list[list[Entry]]:
-    """Return the groups of comparable runs, each oldest first.
+    """Return the groups of comparable runs, each oldest first, in the order of their oldest runs.
 
     Runs are comparable if their ``series`` agree, apart from the first ``ignored`` parts: with 1 the serial number may
     differ, with 2 also the bench. Entries without a series, or with a value that is not finite, are left out.

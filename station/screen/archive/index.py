@@ -35,7 +35,8 @@ def index_file(folder: Path) -> Path:
 def load(folder: Path) -> dict[File, Entry]:
     """Return the entries in the index of a folder, also those whose file has changed or gone since.
 
-    Nothing if there is no index or it is damaged, and a new one is begun. Damaged rows are skipped.
+    Nothing if there is no index or it is damaged, and a new one is begun; nothing either if others can write to its
+    folder. Damaged rows are skipped.
     """
     found, top = {}, os.path.join(folder, "")
     texts = "IFNULL(CAST(entry AS TEXT), ''), IFNULL(CAST(figures AS TEXT), '')"  # also where harm made them other
@@ -54,7 +55,10 @@ def load(folder: Path) -> dict[File, Entry]:
 
 
 def keep(folder: Path, entries: Mapping[File, Entry]) -> bool:
-    """Add entries to the index of a folder, or replace those of the same files; return whether that succeeded."""
+    """Add entries to the index of a folder, or replace those of the same files; return whether that succeeded.
+
+    If not, the index is deleted, unless it was only busy or others can write to its folder.
+    """
     rows = []
     for file, entry in entries.items():
         as_json = json.dumps({name: getattr(entry, name) for name in _AS_JSON})

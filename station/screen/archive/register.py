@@ -48,10 +48,10 @@ def register_file() -> Path:
 
 
 def check_number(number: str, data_sha256: str, folder: Path) -> None:
-    """See that no other recording has a document of this number; ``folder`` is that of the recording.
+    """See that no other recording has a document of this number, by the register and the list in ``folder``.
 
-    Recordings with the same raw data, by ``data_sha256``, count as one. UsageError that names the other recording, or
-    that the register cannot be read.
+    That is the folder of the recording. Recordings with the same raw data, by ``data_sha256``, count as one. UsageError
+    that names the other recording, or that the register cannot be used.
     """
     with _register() as register:
         _check(register, number, data_sha256, folder)

@@ -25,7 +25,11 @@ _ORIGIN = "# What the certificate of the recording beside this file states, as t
 
 @dataclass(kw_only=True, frozen=True, slots=True)
 class Form:
-    """The facts that were entered, by names such as "customer.name" or "equipment.0.due", and those known by origin."""
+    """The facts that were entered, by names such as "customer.name" or "equipment.0.due", and those known by origin.
+
+    ``sources`` has the texts by name for RECORDED and BENCH_FILE, and for LAST_FORM if there was one. Of several with
+    the same text the first counts.
+    """
 
     recording: str
     entered: Mapping[str, str]

@@ -42,7 +42,10 @@ def joined(lines: Iterable[Text]) -> Text:
 
 
 def padded(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return rows of cells as wide as their columns: the first left-aligned, the others right-aligned."""
+    """Return rows of cells as wide as their columns: the first left-aligned, the others right-aligned.
+
+    There must be one row or more, all of the same length.
+    """
     first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
     return [[row[0].ljust(first), *map(str.rjust, row[1:], others)] for row in rows]
 

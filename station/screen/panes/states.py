@@ -40,7 +40,7 @@ class StatesView:
 
 
 def state_lines(view: StatesView) -> list[Text]:
-    """Return a line for each gyro below two lines of headings; figures beyond a limit are red.
+    """Return two lines of headings, and one for each gyro; figures beyond a limit are red.
 
     Names that two sources have are preceded by that of the source. The NIS comes last if the view is ``with_nis``.
     """
@@ -115,7 +115,7 @@ def _why_no_change(view: ChangeView) -> str:
 
 
 def _change_lines(view: ChangeView) -> list[Text]:
-    """Return a line for each gyro that both calibrations have, below two lines of headings; yellow if it moved."""
+    """Return two lines of headings, and one for each gyro that both calibrations have; yellow if it moved."""
     rows = _headings(view.figures, "sigmas")
     styles = [_BOLD] * len(rows)
     for new in view.gyros:

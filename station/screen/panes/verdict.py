@@ -101,7 +101,7 @@ def _limits_exceeded(recording: ReadRecording) -> list[Text]:
 
 
 def _table(limits: Sequence[Exceeded]) -> list[Text]:
-    """Return a line for each limit below the headings."""
+    """Return a line of headings, and one for each limit."""
     heads = ["exceeded", "found", "limit", "missed by"]
     head, *rows = padded([heads, *(limit.cells for limit in limits)])
     return [line(("  ".join(head), _BOLD)), *(line(("  ".join(row), _RED)) for row in rows)]
