@@ -300,10 +300,7 @@ class ModbusTable(Table):
         return bool(asked) and int(await self._read(axis, register)) != closed
 
     async def stop(self) -> str:
-        """Quick-stop every drive along its ramp, over a new connection if necessary, and return what was seen.
-
-        Raises as ``bring_to_rest``.
-        """
+        """Quick-stop every drive along its ramp, over a new connection if necessary, as ``_rest``; return its words."""
         return await self._rest("quick_stop")
 
     async def abort(self) -> None:

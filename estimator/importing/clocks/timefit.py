@@ -213,7 +213,7 @@ def _even_over_seconds(t: Floats) -> Floats | None:
 
 
 def _usual_rows(t: Floats) -> list[int]:
-    """Return how many rows a stamp may have: one, or for coarse stamps more and then fewer."""
+    """Return how many rows a stamp may have, to be tried in order: only 1, or for coarse stamps from all rows down."""
     counts = np.diff(np.append(np.flatnonzero(np.diff(t, prepend=t[0] - 1)), len(t)))
     if np.quantile(counts, 0.9) <= 1:
         return [1]

@@ -121,7 +121,7 @@ def _effects(calibration: ForceCalibration) -> ForceTable:
 
 
 def _places(calibration: ForceCalibration) -> ForceTable:
-    """Return where each accelerometer sits, and last their middle, with expanded uncertainties."""
+    """Return a row for each accelerometer, and last for their middle: the place along x, y and z, each with its U."""
     figures = [place_figure(calibration)] * 3
     heads = ["lever arm"]
     for axis in "xyz":

@@ -286,7 +286,10 @@ class MountingsView:
 
 
 def mountings_view(recorded: Recorded) -> MountingsView:
-    """Return the runs of a joined calibration, with the mounting of the device and its error in each."""
+    """Return the runs of a joined calibration, with the mounting of the device and its error in each, and file hashes.
+
+    Each run's file is read for its hashes.
+    """
     return MountingsView(
         count=len(recorded.joined),
         first=recorded.path.name,

@@ -63,7 +63,7 @@ def _coloured(gyro: GyroCalibration, row: int) -> list[Content]:
 
 
 def _rest_table(labels: Sequence[str], rest: RestNoise) -> Table | None:
-    """Return the terms of the noise at rest with their intervals; None for files of older versions."""
+    """Return a row for each gyro: N, B and K at rest with their intervals; None for files of older versions."""
     low, high = rest.terms_low, rest.terms_high
     if low is None or high is None:
         return None
