@@ -24,7 +24,6 @@ from textual.theme import Theme
 from textual.worker import WorkType
 
 from drivers.packaged import packaged_toml
-from station.remote.attaching import running_sessions
 from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, Small, StopBar
 from station.screen.base import LEAST_HEIGHT, LEAST_WIDTH, StationScreen, keys_of
@@ -32,8 +31,7 @@ from station.screen.choices import Choices, load_by_processor, twin_scale
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
 from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered, whole
 from station.screen.panes.tray import mount_question
-from station.screen.sessions.greeting import Greeting
-from station.screen.sessions.link import SessionLink, sessions_on, sessions_there, stop_session
+from station.screen.sessions.link import SessionLink, session_lines, sessions_beside, sessions_on, stop_session
 from station.screen.sessions.live_run import LiveRun, Stage
 from station.screen.sessions.programs import SessionProcess
 from station.screen.sessions.tray import NO_RESULT, RUNNING, WAITING, Tray, TrayItem
@@ -133,8 +131,8 @@ class StationApp(App[None]):
     def action_stop(self) -> None:
         """Bring the table to rest at once, without any question.
 
-        A run about to start, also that of a mounted device, is cancelled. A session that is shown is stopped if active;
-        all that run, if none was shown so far. The operator is told of a cancelled start, and if one cannot be reached.
+        A run about to start, also that of a mounted device, is cancelled. A shown session is stopped if active; if the
+        bar is about none, all others are. The operator is told of a cancelled start, and if one cannot be reached.
         """
         sent, self._told_by_key = self._told_by_key, False
         mounted, self.mounted = self.mounted, False
@@ -143,8 +141,8 @@ class StationApp(App[None]):
         if self._link is not None and self.busy:
             if not (sent or self._link.stop()):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
-        elif self.shown is None:
-            self.work(self._stop_all, "sessions")
+        elif self._run_on_bar is None:
+            self.work(self._stop_others, "sessions")
         self.show_stop()
 
     def stop_from_thread(self) -> None:
@@ -153,9 +151,9 @@ class StationApp(App[None]):
         if link is not None and self.busy:
             self._told_by_key = link.stop()
 
-    async def _stop_all(self) -> None:
-        """Stop all running sessions, show the newest, and say how many they were; nothing if there are none."""
-        sockets = await asyncio.to_thread(running_sessions)
+    async def _stop_others(self) -> None:
+        """Stop all sessions not shown, show the newest, and say how many they were; nothing if there are none."""
+        sockets = await sessions_beside(self._link)
         if sockets:
             run = LiveRun()
             run.ask_to_stop()
@@ -300,7 +298,7 @@ class StationApp(App[None]):
             if not self._is_small:
                 await self._choose(quiet=True)
             return
-        found = await asyncio.to_thread(running_sessions)
+        found = await sessions_beside(None)
         if len(found) == 1:
             self._follow(LiveRun(), socket=found[0])
         elif found:
@@ -311,19 +309,18 @@ class StationApp(App[None]):
 
     async def _choose(self, *, quiet: bool = False) -> None:
         """Offer the running sessions or say there are none; ``quiet``: only offer, and not while one is active."""
-        found = await sessions_there()
-        self.others = len(found)
+        found = await session_lines()
+        self.others = sum(self._link is None or path != self._link.socket for path, _ in found)
         if found and not (quiet and self.busy):
-            lines = [(str(path), _session_words(path, hello)) for path, hello in found]
+            lines = [(str(path), words) for path, words in found]
             question = "These sessions are running. Enter shows one, Escape closes this list."
             self.push_screen(ChooseDialog(question, lines), self._chosen)
         elif not quiet:
             self.notify("no session runs", severity="warning")
 
     async def _count_others(self) -> None:
-        if self.shown is not None:
-            return
-        sessions = await asyncio.to_thread(running_sessions)
+        """Count the sessions that are not shown; a small screen shows the only one, if none was shown so far."""
+        sessions = await sessions_beside(self._link)
         self.others = len(sessions)
         if self._is_small and len(sessions) == 1 and self.shown is None:  # a telephone has no key for it
             self._chosen(str(sessions[0]))
@@ -371,6 +368,7 @@ class StationApp(App[None]):
         """
         run = self.shown
         self._tick()
+        self.work(self._count_others, "others")  # which the session that is shown is not, now that its socket is known
         if run is None or run.stage is not Stage.ENDED:
             return
         if self._leaving and run.at_rest:
@@ -410,32 +408,35 @@ class StationApp(App[None]):
                 if isinstance(screen, StationScreen):
                     screen.tick()
 
-    def show_stop(self) -> None:
-        """Show the run in bars and small view; without one, or if settled and not of this screen, the screen's line."""
+    @property
+    def _below(self) -> StationScreen | None:
+        """The screen in sight, also below a dialog; none while it is on its way in."""
         with suppress(ScreenStackError):
-            below = next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
-            run, line = self.shown, ""
-            if below is not None and (run is None or run.settled):
-                line = below.recording_line
-                if run is not None and not below.shows(run.recording):
-                    run = None  # a run that has ended is not shown
+            return next((screen for screen in self.screen_stack if isinstance(screen, StationScreen)), None)
+        return None
+
+    @property
+    def _run_on_bar(self) -> LiveRun | None:
+        """The run that the bar is about; without one, or if it is settled and not of the screen in sight, none."""
+        run, below = self.shown, self._below
+        return run if run is None or not run.settled or below is None or below.shows(run.recording) else None
+
+    def show_stop(self) -> None:
+        """Show the run in bars and small view; without one other sessions, or the line of the screen."""
+        with suppress(ScreenStackError):
+            run, below = self._run_on_bar, self._below
+            line = below.recording_line if below is not None and run is None else ""
             for bar in (bar for screen in self.screen_stack for bar in screen.query(StopBar)):
                 bar.show(run, self.others, line)
             if below is not None and below.small:
                 for small in below.query(Small):  # none before it is laid out
-                    small.show_run(run, line)
+                    small.show_run(run, self.others, line)
 
     def _watch_terminal(self) -> None:
         """End the process if the terminal is gone: a killed server of the screen sends no message."""
         if self.is_headless or not _hung_up(sys.__stdin__):
             return
         os._exit(0)
-
-
-def _session_words(path: Path, hello: Greeting | None) -> str:
-    if hello is None:
-        return f"process {path.stem}, which does not identify itself"
-    return f"{hello.bench}, process {path.stem}, {hello.recording}"
 
 
 def _hung_up(stream: TextIO | None) -> bool:

@@ -18,7 +18,7 @@ class SeenApp(Protocol):
 
     shown: LiveRun | None
     others: int
-    """How many sessions run while none is shown."""
+    """How many sessions run that are not shown."""
     choices: Choices
     archive: Archive
     operator_utc_s: float

@@ -97,20 +97,21 @@ class Small(Lines):
         super().__init__(id="small")
         self._needs = sentence("screen.too_small", width=least[0], height=least[1])
 
-    def show_run(self, run: LiveRun | None, recording_line: str) -> None:
-        """Show a run, or without one the text ``recording_line`` on the chosen recording."""
-        lines = Text("\n").join([*_lines(run, recording_line), Text(), Text(self._needs, style="dim")])
+    def show_run(self, run: LiveRun | None, other_sessions: int, recording_line: str) -> None:
+        """Show a run, or without one the text ``recording_line`` on the chosen recording, else how many others run."""
+        without = recording_line or (f"sessions not shown: {other_sessions}" if other_sessions else "no session runs")
+        lines = Text("\n").join([*_lines(run, without), Text(), Text(self._needs, style="dim")])
         self.show(lines, len(lines.split()))
 
 
-def _lines(run: LiveRun | None, recording_line: str) -> list[Text]:
+def _lines(run: LiveRun | None, without: str) -> list[Text]:
     """Return four lines about a run, the most important first: what it does, time left, NIS and losses, angles in deg.
 
     It is one line otherwise: outcome and reason, once there is an outcome; "starting" before the first snapshot;
-    without a run ``recording_line``, or that no session runs if that is empty.
+    ``without`` a run that text.
     """
     if run is None:
-        return [Text(recording_line or "no session runs", style="bold")]
+        return [Text(without, style="bold")]
     if run.outcome:
         reason = run.result.reason if run.result is not None else ""
         style = OUTCOME_STYLES.get(run.outcome, "")

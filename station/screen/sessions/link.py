@@ -24,6 +24,11 @@ class SessionLink:
         self._process, self._socket = process, socket
         self._remote: RemoteSession | None = None
 
+    @property
+    def socket(self) -> Path | None:
+        """The session's socket, None as long as a process that was started has none."""
+        return self._socket
+
     async def follow(self, changed: Callable[[], None]) -> None:
         """Receive the session's messages until it has ended, reconnecting if necessary; then close the connection.
 
@@ -160,10 +165,27 @@ async def sessions_on(bench: str, bench_file: str) -> list[str]:
     ]
 
 
+async def sessions_beside(link: SessionLink | None) -> list[Path]:
+    """Return the sockets of the running sessions, newest first, without that of ``link``."""
+    sockets = await asyncio.to_thread(running_sessions)
+    return [path for path in sockets if link is None or path != link.socket]
+
+
 async def sessions_there() -> list[tuple[Path, Greeting | None]]:
     """Return the running sessions, newest first, with the greeting of each, None if it does not answer."""
     paths = await asyncio.to_thread(running_sessions)
     return list(zip(paths, await asyncio.gather(*map(_hello, paths)), strict=True))
+
+
+async def session_lines() -> list[tuple[Path, str]]:
+    """Return the running sessions, newest first, with a line on each: bench, process and recording."""
+    return [(path, _words(path, hello)) for path, hello in await sessions_there()]
+
+
+def _words(path: Path, hello: Greeting | None) -> str:
+    if hello is None:
+        return f"process {path.stem}, which does not identify itself"
+    return f"{hello.bench}, process {path.stem}, {hello.recording}"
 
 
 async def _hello(path: Path) -> Greeting | None:

@@ -138,9 +138,19 @@ class Replay:
     """
 
     def __init__(
-        self, name: str, until_s: float, *, after_stop: str = "", label: str = "", longer_s: float = 0.0
+        self,
+        name: str,
+        until_s: float,
+        *,
+        after_stop: str = "",
+        label: str = "",
+        longer_s: float = 0.0,
+        pid: int = 4242,
     ) -> None:
-        """Listen; ``label`` is that of every step, the script may take ``longer_s`` more than it says."""
+        """Listen; ``label`` is that of every step, the script may take ``longer_s`` more than it says.
+
+        ``pid`` is the number of the process that it claims to be, by which several are told apart.
+        """
         self._lines = [{**line, **({"label": label} if label and line.get("label") else {})} for line in _lines(name)]
         for line in self._lines:
             if line["kind"] == "snapshot":
@@ -154,7 +164,7 @@ class Replay:
         self.told = threading.Event()
         folder = Path(os.environ["XDG_RUNTIME_DIR"]) / f"station-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        self.path = folder / "4242.sock"
+        self.path = folder / f"{pid}.sock"
         self._server = socket.socket(socket.AF_UNIX)
         self._server.bind(str(self.path))
         self._server.listen()

@@ -231,3 +231,79 @@ def test_the_bar_says_nothing_of_a_run_that_is_not_the_one_on_the_screen(place: 
             await until(pilot, lambda: "the run has ended: FAULT" in said())
 
         driven(app, drive)
+
+
+async def open_another(app: StationApp, pilot: Pilot[None]) -> None:
+    """Open the first recording of the history once the run that is shown has ended."""
+    await until(pilot, lambda: app.shown and app.shown.settled)
+    await pilot.press("f5")
+    await until(pilot, lambda: app.current_mode == "history" and app.screen.query_one("DataTable").row_count)
+    await pilot.press("enter")
+    await until(pilot, lambda: app.current_mode == "result" and app.screen.query("#figures"))
+
+
+def test_stop_reaches_a_session_that_begins_after_the_shown_run_has_ended(place: Path, runs: Path) -> None:
+    with Replay("fault", math.inf) as ended:
+        app = StationApp(Choices(bench="bench.toml", script="short.toml", folder=runs), attach=True)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await open_another(app, pilot)
+            before = app.shown
+            with Replay("stopped", 30.0, after_stop="stopped", pid=4243) as session:
+                await until(pilot, lambda: "stops your session, not shown here" in said_by_bar(app))
+                await pilot.press("f9")
+                await until(pilot, lambda: app.shown is not before and app.shown and app.shown.stage is Stage.ENDED)
+                assert app.shown is not None
+                assert app.shown.outcome == "ABORTED"
+                assert session.heard == [{"do": "stop"}]
+
+        driven(app, drive)
+        assert not ended.heard
+
+
+def test_sessions_are_counted_without_the_one_whose_run_was_shown(place: Path, runs: Path) -> None:
+    with Replay("fault", math.inf):
+        app = HistoryFirst(Choices(bench="bench.toml", script="short.toml", folder=runs))
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: isinstance(app.screen, ChooseDialog))
+            await pilot.press("enter")
+            await open_another(app, pilot)
+            await until(pilot, lambda: "not shown here" not in said_by_bar(app))
+            with Replay("pass", 20.0, pid=4243), Replay("pass", 20.0, pid=4244):
+                await until(pilot, lambda: "stops your 2 sessions, not shown here" in said_by_bar(app))
+            await until(pilot, lambda: "not shown here" not in said_by_bar(app))
+
+        driven(app, drive)
+
+
+def test_stop_is_for_no_other_session_while_the_bar_is_about_a_run_that_has_ended(place: Path) -> None:
+    """One more press, when the table is at rest, must not end what runs on another bench."""
+    with Replay("stopped", 30.0, after_stop="stopped") as session:
+        app = StationApp(CHOICES, attach=True)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: app.shown and app.shown.snapshot)
+            await pilot.press("f9")
+            await until(pilot, lambda: "the run has ended: ABORTED, table at rest" in said_by_bar(app))
+            stopped = app.shown
+            with Replay("pass", 20.0, pid=4243) as other:
+                await until(pilot, lambda: app.others)
+                await pilot.press("f9")
+                await until(pilot, lambda: all(w.is_finished for w in app.workers if w.group == "sessions"))
+                assert app.shown is stopped
+                assert not other.heard
+
+        driven(app, drive)
+        assert session.heard == [{"do": "stop"}]
+
+
+def test_a_small_terminal_says_how_many_sessions_it_does_not_show(place: Path) -> None:
+    with Replay("pass", 20.0), Replay("pass", 20.0, pid=4243):
+        app = HistoryFirst(CHOICES)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: "stops your 2 sessions" in said_by_bar(app))
+            await until(pilot, lambda: "sessions not shown: 2" in str(app.screen.query_one("#small").render()))
+
+        driven(app, drive, (50, 12))
