@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from estimator.errors import MISSHAPEN
 from station.run.snapshot import EventKind, Phase, Snapshot, snapshot_of
 from station.screen.sessions.greeting import Greeting, RunEnd, SentLimits
 
@@ -167,7 +168,7 @@ class LiveRun:
         """
         self._heard_s = time.monotonic()
         kind = message.get("kind")
-        with suppress(KeyError, TypeError, ValueError):
+        with suppress(*MISSHAPEN):
             if kind == "snapshot":
                 self._take_snapshot(snapshot_of(message))
             elif kind == "event":

@@ -110,7 +110,14 @@ def test_who_attaches_late_sees_how_the_estimates_went() -> None:
     gyro = GyroSnapshot("g", "s", (0.3,) * 4, (0.4,) * 4, 1.0)
     run.take({"kind": "snapshot", **json_object(Snapshot(Phase.RUNNING, "x", 2.0, 1, 1, 0, 1.0, gyros=(gyro,)))})
     run.take({"kind": "course", "points": [early, late]})
-    run.take({"kind": "course", "points": [{}]})
+    for damaged in (
+        [{}],
+        [{"t_s": 3.0, "sensors": [1.0]}],
+        [1.0],
+        None,
+        [{"t_s": 3.0, "sensors": {"s g": [1.0, 1.0]}}],
+    ):
+        run.take({"kind": "course", "points": damaged})
     assert run.trends["s g"].times_s == [1.0, 2.0]
     assert [values[0] for values in run.trends["s g"].values] == [0.1, 0.2]
     assert set(run.trends) == {"s g"}
