@@ -43,9 +43,9 @@ class Tray:
         self.spots = list(spots)
         return save_state(_FILE, {**load_state(_FILE), self.bench: [asdict(spot) for spot in spots]})
 
-    def change(self, spot: TrayItem, **new: str) -> None:
-        """Change fields of an item, if it is on the tray."""
-        self.keep([replace(old, **new) if old == spot else old for old in self.spots])
+    def change(self, spot: TrayItem, **new: str) -> str:
+        """Change fields of an item, if it is on the tray; return why that cannot be stored, empty if it is."""
+        return self.keep([replace(old, **new) if old == spot else old for old in self.spots])
 
     def end(self, recording: Path, state: str) -> TrayItem | None:
         """Note how a run ended, or that it never began and its spot waits; return the spot, None if there is none."""

@@ -99,8 +99,14 @@ class TrayScreen(StationScreen):
                 self.notify(
                     f"{spot.serial} is on the tray already", title="Not added", severity="warning", markup=False
                 )
-            elif wrong := tray.keep([*tray.spots, spot]):
-                self.notify(wrong, title="NOT kept", severity="error", markup=False)
+            else:
+                self._report(tray.keep([*tray.spots, spot]))
+
+    def _report(self, wrong: str) -> bool:
+        """Report why the tray could not be stored; return whether it was, which is so if ``wrong`` is empty."""
+        if wrong:
+            self.notify(wrong, title="NOT kept", severity="error", markup=False)
+        return not wrong
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         for spot in self._chosen():
@@ -112,12 +118,13 @@ class TrayScreen(StationScreen):
         return [spot for n, spot in enumerate(self.station.tray.spots) if n == row and spot.state != RUNNING]
 
     def action_remove(self) -> None:
-        self.station.tray.keep([spot for spot in self.station.tray.spots if spot not in self._chosen()])
+        """Remove the highlighted item, unless it runs."""
+        self._report(self.station.tray.keep([spot for spot in self.station.tray.spots if spot not in self._chosen()]))
 
     def action_clear(self) -> None:
         """Remove the items that have been run."""
         left = (WAITING, RUNNING, SKIPPED)
-        self.station.tray.keep([spot for spot in self.station.tray.spots if spot.state in left])
+        self._report(self.station.tray.keep([spot for spot in self.station.tray.spots if spot.state in left]))
 
     def action_move(self, step: int) -> None:
         """Swap the highlighted item with the one before (``step`` -1) or after it (1), and store the tray.
@@ -127,14 +134,15 @@ class TrayScreen(StationScreen):
         spots, row = list(self.station.tray.spots), self.query_one(OptionList).highlighted
         if row is not None and 0 <= row + step < len(spots):
             spots[row], spots[row + step] = spots[row + step], spots[row]
-            self.station.tray.keep(spots)
-            self.tick()
-            self.query_one(OptionList).highlighted = row + step
+            if self._report(self.station.tray.keep(spots)):
+                self.tick()
+                self.query_one(OptionList).highlighted = row + step
 
     def action_skip(self) -> None:
         """Skip a spot that waits; let any other wait again. Its last recording stays in the history."""
         for spot in self._chosen():
-            self.station.tray.change(spot, state=SKIPPED if spot.state == WAITING else WAITING, recording="")
+            state = SKIPPED if spot.state == WAITING else WAITING
+            self._report(self.station.tray.change(spot, state=state, recording=""))
 
     def tick(self) -> None:
         """Show list and next item anew if the tray has changed; the highlighted row stays, at first it is the top."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import resource
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +52,17 @@ def scan(app: App[None], *numbers: str, end: str = "enter") -> None:
         app.post_message(events.Key(end, None))
 
 
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """Let no file grow meanwhile, for root neither."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
 @driven
 async def test_the_name_of_a_field_is_marked_while_the_field_has_the_focus(place: Path) -> None:
     app = TrayFirst(Choices())
@@ -91,6 +105,24 @@ async def test_what_is_scanned_makes_a_tray_that_can_be_put_in_order_and_is_kept
     async with app.run_test(size=(80, 24)) as pilot:
         await until(pilot, lambda: app.focused is not None)
         assert not column(app, "serial")
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="its limit of file sizes kills")
+@driven
+async def test_a_change_of_the_tray_that_cannot_be_stored_is_reported(place: Path) -> None:
+    Tray(str(place / "bench.toml")).keep([TrayItem("SN-0001"), TrayItem("SN-0002"), TrayItem("SN-0003", state="PASS")])
+    app = TrayFirst(Choices(bench="bench.toml", operator="A. Operator"))
+    async with app.run_test(size=(80, 24), notifications=True) as pilot:
+        await until(pilot, lambda: len(column(app, "serial")) == 3)
+        await until(pilot, lambda: app.focused is not None and app.focused.id == "scan")
+        await pilot.press("tab")
+        with full_disk():
+            for key in ("plus", "s", "delete", "c"):
+                await pilot.press(key)
+                await until(pilot, lambda: "NOT kept" in " ".join(str(t.render()) for t in app.screen.query("Toast")))
+                app.clear_notifications()
+                await until(pilot, lambda: not app.screen.query("Toast"))
+                assert column(app, "serial") == ["SN-0001", "SN-0002", "SN-0003"], key
 
 
 @pytest.mark.parametrize(
