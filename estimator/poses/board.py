@@ -86,13 +86,14 @@ def at_limit(outputs: Floats) -> Flags:
     """Return in which samples (n,) a column of outputs (n, c) is at the end of its range.
 
     An extreme is the end of a range if it is held for three samples anywhere; then every sample with it is there. A
-    constant column has no such end.
+    constant column has no such end, nor has a blank one. Blanks are at no end.
     """
     found = np.zeros(len(outputs), dtype=bool)
     for column in outputs.T:
-        for extreme in (np.nanmin(column), np.nanmax(column)):
+        low, high = np.nanmin(column), np.nanmax(column)
+        for extreme in (low, high) if low < high else ():
             at = np.asarray(column == extreme)
-            if any(stop - start >= _CLIPPED for start, stop in runs_of(at)) and np.ptp(column) > 0:
+            if any(stop - start >= _CLIPPED for start, stop in runs_of(at)):
                 found |= at
     return found
 
