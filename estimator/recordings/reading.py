@@ -315,11 +315,13 @@ def _read_reference(path: Path, file: Any) -> Reference:
         if n < 2 or angle.shape[1] != len(axes):
             raise RecordingError(f"{where} needs two or more rows and one column per axis")
         window_ns = int(group.attrs.get("rate_window_ns", 0))
+        width = _half_widths(where, group, n)
         if has_rates:
             rate = _column(where, group, "rate_rps")
         else:
             known = np.isfinite(angle[:n]).all(axis=1)
             t_ns, angle = t_ns[:n][known], angle[:n][known]
+            width = None if width is None else width[known]
             n = len(t_ns)
             if n < 2:
                 raise RecordingError(f"{where} holds fewer than two valid angles")
@@ -329,10 +331,6 @@ def _read_reference(path: Path, file: Any) -> Reference:
         finite = np.isfinite(angle[:n]).all(axis=1) & np.isfinite(rate[:n]).all(axis=1)
         keys = [f.name for f in fields(TableUncertainty) if f"u_{f.name}" in group.attrs]
         stated = TableUncertainty(**{key: float(group.attrs[f"u_{key}"]) for key in keys}) if keys else None
-        width = None
-        if "half_width_ns" in group:
-            width = _column(where, group, "half_width_ns")
-            width = np.pad(width[:n], (0, max(n - len(width), 0)), mode="edge")[finite]
         # An import makes its rates of an encoder's angles.
         own_rates = has_rates and "imported_from" not in file.attrs
         return TableReadings(
@@ -341,7 +339,7 @@ def _read_reference(path: Path, file: Any) -> Reference:
             rate_rps=rate[:n, order][finite],
             gimbals=gimbals,
             uncertainty=stated,
-            half_width_ns=width,
+            half_width_ns=None if width is None else width[finite],
             rate_window_ns=window_ns,
             own_rates=own_rates,
         )
@@ -353,6 +351,14 @@ def _read_reference(path: Path, file: Any) -> Reference:
     values = {f.name: _column(where, group, f.name) for f in fields(kind) if f.name not in missing}
     reference: Reference = kind(**values, **{name: np.zeros(len(values["turn_rad"])) for name in missing})
     return reference
+
+
+def _half_widths(where: str, group: Any, n: int) -> Stamps | None:
+    """Return the half widths (n,) in ns of readings, the last repeated if there are fewer; None if not stated."""
+    if "half_width_ns" not in group:
+        return None
+    width = _column(where, group, "half_width_ns")[:n]
+    return np.pad(width, (0, n - len(width)), mode="edge")
 
 
 def _means_of(t_ns: Stamps, angle_rad: Floats) -> tuple[Floats, int]:

@@ -452,6 +452,17 @@ def test_table_rows_that_hold_no_number_are_left_out(path: Path) -> None:
     np.testing.assert_array_equal(found.half_width_ns, np.delete(TABLE.half_width_ns, [3, 5]))
 
 
+def test_half_widths_stay_with_their_readings_where_angles_give_the_rates(path: Path) -> None:
+    def change(file: Any) -> None:
+        file["table/angle_rad"][3, 1] = np.nan
+        del file["table/rate_rps"]
+
+    found = read_recording(changed(path, change), trusted=True).reference
+    assert isinstance(found, TableReadings)
+    np.testing.assert_array_equal(found.t_ns, np.delete(TABLE.t_ns, 3))
+    np.testing.assert_array_equal(found.half_width_ns, np.delete(TABLE.half_width_ns, 3))
+
+
 @pytest.mark.parametrize("short", ["t_ns", "rate_rps", "temperature_c", "counter"])
 def test_a_run_cut_between_two_datasets_is_used_as_far_as_all_go(path: Path, short: str) -> None:
     def change(file: Any) -> None:
