@@ -156,12 +156,18 @@ def beyond_noise(search: Search, found: Found) -> Unexplained | None:
 def faults_added(faults: Sequence[Fault]) -> list[Added]:
     """Return faults of the data as effects of probability 1, one for each kind, with the gyros and values that show it.
 
-    Held samples are left out: they are searched for as an effect.
+    Values of further faults of a gyro have a number, from "(2)" on. Held samples are left out: they are searched for as
+    an effect.
     """
     found = []
     for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != SAMPLE_HOLD.name):
-        own = [fault for fault in faults if fault.kind == kind]
-        parameters = {f"{f.gyro} {name}": Value(value, 0.0, unit) for f in own for name, value, unit in f.values}
+        own = [fault for fault in dict.fromkeys(faults) if fault.kind == kind]
+        parameters = {}
+        for at, fault in enumerate(own):
+            number = sum(other.gyro == fault.gyro for other in own[: at + 1])
+            for name, value, unit in fault.values:
+                label = f"{fault.gyro} {name}" + (f" ({number})" if number > 1 else "")
+                parameters[label] = Value(value, 0.0, unit)
         found.append(
             Added(effect=kind, gyros=tuple(dict.fromkeys(f.gyro for f in own)), probability=1.0, parameters=parameters)
         )

@@ -206,10 +206,12 @@ def test_effects_that_the_recordings_cannot_show_are_left_out_by_name() -> None:
 def test_faults_of_the_data_are_named_and_cost_only_what_they_spoil() -> None:
     _, exploration, verification = recordings_of(Case((), 1.0, 6))
     rate = exploration.sources["array"].rate_rps.copy()
-    rate[10_000:10_400, 1] = rate[10_000, 1]
+    for first in (10_000, 15_000):
+        rate[first : first + 400, 1] = rate[first, 1]
     found = investigate([changed(exploration, rate_rps=rate)], [verification])
     assert [(a.effect, a.gyros) for a in found.added] == [("stuck", ("gyro2",))]
-    assert found.added[0].parameters["gyro2 from"].value == pytest.approx(100.0, abs=0.1)
+    spans_s = {"gyro2 from": 100.0, "gyro2 until": 104.0, "gyro2 from (2)": 150.0, "gyro2 until (2)": 154.0}
+    assert {name: value.value for name, value in found.added[0].parameters.items()} == pytest.approx(spans_s, abs=0.1)
     assert len(found.gyros) == 4
 
     held = np.repeat(exploration.sources["array"].rate_rps[::4], 4, axis=0)
