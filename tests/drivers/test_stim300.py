@@ -71,6 +71,11 @@ def taken(found: Iterable[Datagrams | Special]) -> list[bytes | Special]:
     return out
 
 
+def test_a_configuration_with_a_range_that_the_device_does_not_have_is_refused_with_those_it_has() -> None:
+    with pytest.raises(ValueError, match="no range of 20 g: it is one of 5, 10, 30, 80"):
+        Configuration.of(rate_hz=2000, accel_range_g=20)
+
+
 def columns(part: Datagrams) -> dict[str, np.ndarray]:
     out = {"counter": part.counter, "latency_us": part.latency_us}
     for name, (values, status) in part.groups.items():

@@ -92,9 +92,11 @@ class Configuration:
         ``accelerometer``, ``inclinometer``, ``temperature`` and ``pps`` say which groups normal datagrams carry,
         ``line_termination`` whether CR LF ends them. ``gyro_unit`` is a code; ``accel_range_g`` holds for all three
         axes; a ``bit_rate`` that is not listed becomes "user defined". ``revision`` is a letter, ``firmware`` a number
-        of one byte. ValueError for a ``rate_hz`` that the device does not have, StopIteration for an ``accel_range_g``
-        that it does not have.
+        of one byte. ValueError for a ``rate_hz`` or an ``accel_range_g`` that the device does not have.
         """
+        codes = {range_g: code for code, range_g in _ACCEL_RANGES_G.items()}
+        if accel_range_g not in codes:
+            raise ValueError(f"no range of {accel_range_g} g: it is one of {', '.join(map(str, sorted(codes)))}")
         data = bytearray(21)
         data[0], data[1] = ord(revision), firmware
         flags = (pps << 4) | (temperature << 3) | (inclinometer << 2) | (accelerometer << 1) | line_termination
@@ -104,7 +106,7 @@ class Configuration:
         data[5] = data[8] = data[11] = 0x44
         data[6] = data[9] = data[12] = 0x40
         data[13] = pps << 3
-        code = next(code for code, range_g in _ACCEL_RANGES_G.items() if range_g == accel_range_g)
+        code = codes[accel_range_g]
         data[16], data[17] = code << 4 | code, code << 4
         return cls(bytes(data))
 
