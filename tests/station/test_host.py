@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ import pytest
 from support import TwinProcess, command, forked
 
 from station.bench.bench import default_bench_text
-from station.run.event_loop.loops import PacedLoop
+from station.run.event_loop.loops import PacedLoop, ScaledLoop, VirtualLoop
 from station.screen.choices import twin_scale
 
 SCRIPT = """
@@ -92,6 +93,19 @@ def test_the_clock_of_twins_passes_by_no_timer_and_never_goes_back() -> None:
     assert max(late_s) < 1e-6
     assert took_s > 0.3 + 29 * 0.01 * 0.8
     assert all(later >= earlier for earlier, later in pairwise(range(len(late_s))))
+
+
+@pytest.mark.parametrize(
+    "make", [ScaledLoop, lambda: PacedLoop(100.0), VirtualLoop], ids=["scaled", "paced", "virtual"]
+)
+def test_an_error_of_a_job_comes_when_the_job_is_awaited(make: Callable[[], asyncio.AbstractEventLoop]) -> None:
+    async def main() -> None:
+        job = asyncio.get_running_loop().run_in_executor(None, int, "no number")
+        with pytest.raises(ValueError, match="no number"):
+            await job
+
+    with asyncio.Runner(loop_factory=make) as runner:
+        runner.run(main())
 
 
 def test_a_program_that_was_stopped_and_goes_on_blames_no_device(tmp_path: Path) -> None:

@@ -101,9 +101,12 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             self._now = max(self._now, scheduled[0].when())
 
     def run_in_executor(self, executor: Executor | None, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
-        """Call ``func`` at once, in no thread, which would not share this clock; its exception is raised here."""
+        """Call ``func`` at once, in no thread, which would not share this clock; the future has its result or error."""
         future = self.create_future()
-        future.set_result(func(*args))
+        try:
+            future.set_result(func(*args))
+        except Exception as error:
+            future.set_exception(error)
         return future
 
     def _write_to_self(self) -> None:
