@@ -87,7 +87,6 @@ class Evidence:
     ) -> None:
         """Take gyros and noise models; ``excess`` is the noise beyond these, by name of gyro and number of run."""
         self.gyros, self.shapes = list(gyros), shapes
-        self._all = shapes
         self.excess = dict(excess or {})
         self.level = np.ones(len(self.gyros))
         self.misfit: dict[tuple[str, int], float] = {}
@@ -104,12 +103,12 @@ class Evidence:
         return Evidence(self.gyros, self.shapes.select(np.arange(len(self.shapes)) == noise), self.excess)
 
     def narrow(self, models: Sequence[Sequence[Term]]) -> None:
-        """Keep noise models that matter beside any of ``models`` or have no walk and hardly any turn-on; only once."""
-        keep = (self._all.walk == 0) & (self._all.turn_on <= _HARDLY)
+        """Keep noise models that matter beside any of ``models`` or have no walk and hardly any turn-on."""
+        keep = (self.shapes.walk == 0) & (self.shapes.turn_on <= _HARDLY)
         for terms in models:
             log = self.by_noise(terms) + self.shapes.log_prior
             keep |= log > log.max() - _MATTERS
-        self.shapes = self._all.select(keep)
+        self.shapes = self.shapes.select(keep)
         self.refresh()
 
     def refresh(self) -> None:

@@ -58,6 +58,7 @@ class Search:
         self._scored: dict[tuple[tuple[tuple[int, ...], float], ...], dict[str, tuple[float, Term]]] = {}
         self._barred: set[str] = set()
         self._free: list[int] = []
+        self._narrowed = False
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Add candidates and compute their columns for every gyro; does nothing without candidates.
@@ -66,7 +67,6 @@ class Search:
         """
         if not candidates:
             return
-        fresh = not self.known
         self._scored.clear()
         widths = [len(candidate.effect.parameters) for candidate in candidates]
         numbers = self._numbers(sum(widths))
@@ -82,7 +82,8 @@ class Search:
             columns = tuple(its.tolist())
             term = Term(candidate.name, columns, candidate.effect.shared, log_tries=candidate.log_tries)
             self.known[candidate.name] = (candidate, term)
-        if fresh:
+        if not self._narrowed:
+            self._narrowed = True
             rich = [term.scaled(_RICH) for c, term in self.known.values() if not c.depends_on and not term.shared]
             self.evidence.narrow([[], rich])
 
@@ -142,7 +143,7 @@ class Search:
             tone = self.heard.strongest(model)
             options = {"": bare + _STOP_LOG_PRIOR} | {name: score for name, (score, _) in scores.items()}
             if tone is not None:
-                prior = max(candidate.log_prior for candidate, _ in self.known.values())
+                prior = max((candidate.log_prior for candidate, _ in self.known.values()), default=_STOP_LOG_PRIOR)
                 options[TONE.name] = options[""] + tone.log_evidence + prior
             total = float(np.logaddexp.reduce(list(options.values())))
             suspects = suspects or self._suspects(options, chain[0])

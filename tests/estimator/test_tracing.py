@@ -203,6 +203,19 @@ def test_effects_that_the_recordings_cannot_show_are_left_out_by_name() -> None:
         fit_known(cold[:2], ["thermal_bias"])
 
 
+@pytest.mark.parametrize(
+    ("excess_rps", "finding"),
+    [(0.0, Finding.NOTHING), pytest.param(30.0, Finding.UNEXPLAINED, id="with a law no effect is as large as")],
+)
+def test_effects_that_all_drown_in_noise_are_left_out_and_nothing_is_added(excess_rps: float, finding: Finding) -> None:
+    (recording,) = first_gyros(1, recordings_of(Case((), 1.0, 6))[1])
+    rate_rps = recording.sources["array"].rate_rps
+    output = np.random.default_rng(1).normal(rate_rps + excess_rps * np.abs(rate_rps) / np.abs(rate_rps).max(), 30.0)
+    found = investigate([changed(recording, rate_rps=output)])
+    assert (found.finding, found.added) == (finding, ())
+    assert set(found.left_out.values()) == {"the motion does not excite it"}
+
+
 def test_faults_of_the_data_are_named_and_cost_only_what_they_spoil() -> None:
     _, exploration, verification = recordings_of(Case((), 1.0, 6))
     rate = exploration.sources["array"].rate_rps.copy()

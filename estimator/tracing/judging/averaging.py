@@ -69,9 +69,10 @@ def averaged(
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in _alternatives(search, parts)]
     sure = [c.term for c in parts if c.probability >= CERTAIN and c.tone is None]
-    share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
-    base = np.logaddexp.reduce([value for _, value in sets]) - closed
-    sets += [([*sure, term], base + w) for term, w in zip(unnamed(search), share, strict=True)]
+    if opened.probability > 0:  # not so without any function of measured values
+        share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
+        base = np.logaddexp.reduce([value for _, value in sets]) - closed
+        sets += [([*sure, term], base + w) for term, w in zip(unnamed(search), share, strict=True)]
     total = np.logaddexp.reduce([value for _, value in sets])
     weights = [(terms, np.exp(value - total)) for terms, value in sets if value > total + np.log(_MATTERS)]
     scale = sum(w for _, w in weights)
