@@ -70,6 +70,10 @@ class RecordingWriter:
         self.journal: Journal | None = None
         self._unwritten: list[Entry] = []
         self._noting = threading.Lock()  # ``write_journal`` takes in one thread the notes of others
+        self._pending: dict[str, list[Mapping[str, NDArray[Any]]]] = {}
+        self._datasets: dict[str, Any] = {}
+        self._lengths: dict[str, int] = {}
+        self._units: dict[str, str] = {}  # of columns that LAYOUT does not know
         with ExitStack() as undone:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,16 +91,19 @@ class RecordingWriter:
                 raise RecordingError(sentence("recordings.left_journal", journal=error.filename, path=path)) from None
             except (OSError, ValueError) as error:
                 raise RecordingError(f"cannot create {path}: {first_line(error)}") from None
+            undone.callback(self._remove)
+            self._file.attrs.update({"format": FORMAT, "format_version": 1})
+            identity = {IDENTITY: secrets.token_hex(16)} if journal and IDENTITY not in attributes else {}
+            self.set_attributes(identity | dict(attributes))
+            self.flush()
+            self.write_journal()
             undone.pop_all()
-        self._pending: dict[str, list[Mapping[str, NDArray[Any]]]] = {}
-        self._datasets: dict[str, Any] = {}
-        self._lengths: dict[str, int] = {}
-        self._units: dict[str, str] = {}  # of columns that LAYOUT does not know
-        self._file.attrs.update({"format": FORMAT, "format_version": 1})
-        identity = {IDENTITY: secrets.token_hex(16)} if journal and IDENTITY not in attributes else {}
-        self.set_attributes(identity | dict(attributes))
-        self.flush()
-        self.write_journal()
+
+    def _remove(self) -> None:
+        """Close the file, complete or not, and remove it."""
+        with suppress(OSError, RuntimeError):
+            self._file.close()
+        self.path.unlink(missing_ok=True)
 
     def set_attributes(self, attributes: Mapping[str, Any], group: str = "/") -> None:
         """Set attributes of the file, or of a group, which is created if necessary.

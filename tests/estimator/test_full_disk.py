@@ -123,3 +123,22 @@ def test_a_recording_that_does_not_fit_is_refused_and_leaves_no_file(tmp_path: P
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not list(tmp_path.iterdir())
     write_recording(tmp_path / "run.h5", recording)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no limits of a process")
+@pytest.mark.parametrize("journal", [False, True])
+def test_a_recording_that_cannot_be_begun_leaves_no_file(tmp_path: Path, journal: bool) -> None:
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, before[1]))  # as much as is reserved, and nothing more
+    try:
+        with pytest.raises(RecordingError, match="Raise the limit"):
+            RecordingWriter(tmp_path / "run.h5", {"operator": "A. Operator"}, journal=journal)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises((RecordingError, TypeError)):
+        RecordingWriter(tmp_path / "run.h5", {"operator": {"name": "A. Operator"}}, journal=journal)
+    assert not list(tmp_path.iterdir())
+    RecordingWriter(tmp_path / "run.h5", {"operator": "A. Operator"}, journal=journal).close()
