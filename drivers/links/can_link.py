@@ -47,6 +47,7 @@ class CanLink:
         self._wake = asyncio.Event()
         self._waiting = False
         self._ended = ""
+        self._openings = 0  # a reader of an earlier one must not wait in this
         self.counts = LinkCounts()
 
     @property
@@ -63,6 +64,7 @@ class CanLink:
         self.close()
         self._frames = deque(maxlen=_MOST_WAITING)  # a thread that is late to leave has the one before
         self._ended = ""
+        self._openings += 1
         if self._interface == "memory":
             self._bus = MemoryBus(self._channel, self._take_from_memory)
             return
@@ -90,9 +92,10 @@ class CanLink:
         """Return the frames since the last call, waiting for the first; LinkLost once the bus is gone and no frame is
         left.
         """
+        opening = self._openings
         while not self._frames:
-            if self._ended:
-                raise LinkLost(self._device, self._ended)
+            if self._ended or self._openings != opening:
+                raise LinkLost(self._device, self._ended or "the link was closed")
             self._wake.clear()
             self._waiting = True  # before checking for frames, so that the thread cannot miss it
             if not self._frames and not self._ended:

@@ -256,15 +256,17 @@ def _rest_angle_notes(
         return []
     counts_rad = least_steps(np.abs(np.diff(recording.table.angle_rad, axis=0)))
     largest_rad = 0.0
-    for data in recording.sources.values():
-        own = [next((gyro for gyro in gyros if gyro.name == name), None) for name in data.array.names]
-        arw = np.array([one.noise.mean.arw if one is not None and one.noise is not None else 0.0 for one in own])
+    for source, data in recording.sources.items():
+        own = [gyro for gyro in gyros if gyro.source == source and gyro.noise is not None]
+        if not own:
+            continue
+        array = data.array.select([data.array.names.index(gyro.name) for gyro in own])
+        arw = np.array([gyro.noise.mean.arw for gyro in own if gyro.noise is not None])
         sd_rad = share * counts_rad / np.sqrt(12)
-        found = rest_angle_covariances(recording.table, recording.site, data.array, data.prior, arw, sd_rad)
-        for one, covariance in zip(own, found, strict=True):
-            if one is not None:
-                u = np.sqrt(np.diag(covariance))[2:]
-                largest_rad = max(largest_rad, float(np.max(u * (u > _CLEARLY_MORE * one.sd[2:]))))
+        found = rest_angle_covariances(recording.table, recording.site, array, data.prior, arw, sd_rad)
+        for gyro, covariance in zip(own, found, strict=True):
+            u = np.sqrt(np.diag(covariance))[2:]
+            largest_rad = max(largest_rad, float(np.max(u * (u > _CLEARLY_MORE * gyro.sd[2:]))))
     return [sentence("estimation.rest_angles", size_urad=1e6 * largest_rad)] if largest_rad else []
 
 

@@ -28,6 +28,7 @@ from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.run_columns import RunColumns
 from estimator.tracing.search import CERTAIN, Found, Search
 from estimator.tracing.verdict import (
+    NOTHING_MEASURED,
     Causes,
     Verdict,
     beyond_noise,
@@ -160,7 +161,9 @@ def _conclude(
         unexplained = None
     shared = errors.sharing.certain
     if shared and not unexplained and not doubtful:
-        unexplained = unexplained_of(fitted[1]) or Unexplained(COMMON_CAUSE, errors.sharing.share)
+        unexplained = unexplained_of(fitted[1])
+    if shared and not doubtful and (unexplained is None or unexplained.depends_on == NOTHING_MEASURED):
+        unexplained = Unexplained(COMMON_CAUSE, errors.sharing.share)
     faulty = faults_added(faults)
     causes = Causes.among(search, certain, after, fitted[1], unexplained)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)

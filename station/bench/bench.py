@@ -49,6 +49,11 @@ class ForceLimits:
         return self.sd_k, self.sd_b_mps2, self.sd_sigma_rad, self.sd_sigma_rad
 
     @property
+    def requires_sigmas(self) -> bool:
+        """Whether any sigma is limited."""
+        return any(map(math.isfinite, (*self.sds, self.sd_arm_m)))
+
+    @property
     def stated(self) -> bool:
         """Whether any limit is given."""
         return any(map(math.isfinite, (self.k, self.b_mps2, self.sigma_rad, *self.sds, self.sd_arm_m)))

@@ -55,14 +55,14 @@ def command_plan(arguments: argparse.Namespace) -> int:
     early_late = None if plan.proves_constancy else early_late_plan(plan)
     of_forces = planned_forces(plan.script, bench)
     of_mountings = planned_mountings(plan.script, bench)
+    missed = [name for one in of_forces for name in one.missed(bench.limits.forces)]
     if arguments.json:
         print(json.dumps(json_object(plan_view(plan, early_late=early_late, forces=of_forces, mountings=of_mountings))))
     else:
-        print_plan(plan, stdout(), early_late)
+        print_plan(plan, stdout(), early_late, missed)
         print_planned_forces(of_forces, plan.bench.limits.forces)
         print_planned_mountings(of_mountings, bench.units)
-    reached = plan.reached.all() and not any(one.missed(bench.limits.forces) for one in of_forces)
-    return (Outcome.PASS if reached else Outcome.FAIL).exit_code
+    return (Outcome.PASS if plan.reached.all() and not missed else Outcome.FAIL).exit_code
 
 
 def early_late_plan(plan: Plan) -> Plan | None:

@@ -36,8 +36,8 @@ class PlannedForces:
 
     def missed(self, limits: ForceLimits) -> tuple[str, ...]:
         """Return the names of the accelerometers whose sigmas exceed the limits, and "lever arm" if its sigma does."""
-        wide = [one.name for one in self.calibration.accelerometers if np.any(one.sd > limits.sds)]
-        return (*wide, "lever arm") if np.any(self.calibration.arm_sd_m > limits.sd_arm_m) else tuple(wide)
+        wide = [one.name for one in self.calibration.accelerometers if not np.all(one.sd <= limits.sds)]
+        return tuple(wide) if np.all(self.calibration.arm_sd_m <= limits.sd_arm_m) else (*wide, "lever arm")
 
 
 def planned_forces(script: Script, bench: Bench) -> list[PlannedForces]:

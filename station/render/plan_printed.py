@@ -1,6 +1,6 @@
 """A plan as a person reads it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rich.console import Console
 from rich.markup import escape
@@ -21,14 +21,15 @@ from station.scripts.script import Script
 from station.views.figures import clock_between, seconds_between, state_figures
 
 
-def print_plan(plan: Plan, console: Console, early_late: Plan | None = None) -> None:
+def print_plan(plan: Plan, console: Console, early_late: Plan | None = None, missed: Sequence[str] = ()) -> None:
     """Print the plan: motion, sigmas of the states, smallest visible effects, effects that look alike, assumptions.
 
     ``early_late`` is the plan of a script of the same length that turns each axis early and late, if one is offered.
+    ``missed`` names what else than gyros misses its required sigmas.
     """
     figures = state_figures(plan.bench.units)
     shown = [
-        verdict_line(plan),
+        verdict_line(plan, missed),
         *_motion(plan, console.width),
         (sigmas_table(plan), {}),
         *unobservable_lines(plan.forecast),

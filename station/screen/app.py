@@ -3,7 +3,6 @@
 import asyncio
 import gc
 import os
-import select
 import sys
 import time
 from collections.abc import Callable, Coroutine, Iterable
@@ -11,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TextIO, cast
+from typing import Any, ClassVar, cast
 
 from textual import events
 from textual.app import App, ScreenStackError, SystemCommand
@@ -26,7 +25,7 @@ from textual.worker import WorkType
 from drivers.packaged import packaged_toml
 from station.screen.archive.archive import Archive
 from station.screen.bars import SCREENS, STOP_KEY, Small, StopBar
-from station.screen.base import LEAST_HEIGHT, LEAST_WIDTH, StationScreen, keys_of
+from station.screen.base import LEAST_HEIGHT, LEAST_WIDTH, StationScreen, hung_up, keys_of
 from station.screen.choices import Choices, load_by_processor, twin_scale
 from station.screen.dialogs import AskDialog, ChooseDialog, HelpDialog, StationDialog
 from station.screen.memory import REMEMBERED, Remembered, load_remembered, save_remembered, whole
@@ -49,6 +48,7 @@ _YIELD_S = 0.001  # after which a chart that is being drawn lets the thread go o
 _HANGUP_S = 0.5
 _OTHERS_S = 2.0
 _SETTLED_S = 2.0
+_MEANT_S = 3.0  # after STOP for one run the key, which may be held, is for no other
 _STOP_KEYS = (STOP_KEY, "ctrl+c")
 
 
@@ -94,6 +94,7 @@ class StationApp(App[None]):
         self._link: SessionLink | None = None
         self._begins_attached = attach
         self._told_by_key = False
+        self._for_one_s = float("-inf")
         self._leaving = False
         self._to_open: tuple[Path, bool] | None = None
 
@@ -135,14 +136,17 @@ class StationApp(App[None]):
         bar is about none, all others are. The operator is told of a cancelled start, and if one cannot be reached.
         """
         sent, self._told_by_key = self._told_by_key, False
+        for_one = sent or self._run_on_bar is not None
         mounted, self.mounted = self.mounted, False
         if self.workers.cancel_group(self, "start") or mounted:
             self.notify("the run was not started", title="STOP", severity="warning")
         if self._link is not None and self.busy:
             if not (sent or self._link.stop()):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
-        elif self._run_on_bar is None:
+        elif not for_one:
             self.work(self._stop_others, "sessions")
+        if for_one:
+            self._for_one_s = time.monotonic()
         self.show_stop()
 
     def stop_from_thread(self) -> None:
@@ -417,9 +421,14 @@ class StationApp(App[None]):
 
     @property
     def _run_on_bar(self) -> LiveRun | None:
-        """The run that the bar is about; without one, or if it is settled and not of the screen in sight, none."""
+        """The run that the bar is about; without one, or if it is settled and not of the screen in sight, none.
+
+        For a few seconds after a STOP for it, it stays.
+        """
         run, below = self.shown, self._below
-        return run if run is None or not run.settled or below is None or below.shows(run.recording) else None
+        if run is None or not run.settled or below is None or below.shows(run.recording):
+            return run
+        return run if time.monotonic() < self._for_one_s + _MEANT_S else None
 
     def show_stop(self) -> None:
         """Show the run in bars and small view; without one other sessions, or the line of the screen."""
@@ -434,17 +443,6 @@ class StationApp(App[None]):
 
     def _watch_terminal(self) -> None:
         """End the process if the terminal is gone: a killed server of the screen sends no message."""
-        if self.is_headless or not _hung_up(sys.__stdin__):
+        if self.is_headless or not hung_up(sys.__stdin__):
             return
         os._exit(0)
-
-
-def _hung_up(stream: TextIO | None) -> bool:
-    """Return whether the far end of a stream is gone, or the stream is closed; False without a stream."""
-    poll = select.poll()
-    try:
-        if stream is not None:
-            poll.register(stream, 0)  # for events that are always reported: gone, broken, closed
-    except (OSError, ValueError):
-        return True
-    return bool(poll.poll(0))

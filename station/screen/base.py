@@ -1,7 +1,8 @@
 """The frame of the screens: the view for terminals that are too small, the place of STOP, the ticks."""
 
+import select
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, TextIO, cast
 
 from textual import events
 from textual.app import ComposeResult
@@ -124,3 +125,14 @@ class Field(Input):
         """``options`` are those of ``Input``."""
         super().__init__(**{"compact": True, "select_on_focus": False, **options})
         self.cursor_blink = False
+
+
+def hung_up(stream: TextIO | None) -> bool:
+    """Return whether the far end of a stream is gone, or the stream is closed; False without a stream."""
+    poll = select.poll()
+    try:
+        if stream is not None:
+            poll.register(stream, 0)  # for events that are always reported: gone, broken, closed
+    except (OSError, ValueError):
+        return True
+    return bool(poll.poll(0))

@@ -45,7 +45,7 @@ def with_gyros(recording: Recording, **rows: list[int]) -> Recording:
 
 
 def shared_with(recordings: list[Recording], steps_of: Callable[[np.ndarray], np.ndarray]) -> Sharing:
-    """Return what gyros share beside their states, with random walks of 100 deg/h in a root hour added to the biases.
+    """Return what gyros share beside their states, with random walks of 400 deg/h in a root hour added to the biases.
 
     ``steps_of`` makes the steps (n, 4) of the walks from random numbers (n, 4).
     """
@@ -53,7 +53,7 @@ def shared_with(recordings: list[Recording], steps_of: Callable[[np.ndarray], np
     for order, recording in enumerate(recordings):
         data = recording.sources["array"]
         steps = steps_of(np.random.default_rng(order).standard_normal(data.rate_rps.shape))
-        walk = np.cumsum(steps, axis=0) * 100 * DEG / 3600 / 60 / np.sqrt(100)
+        walk = np.cumsum(steps, axis=0) * 400 * DEG / 3600 / 60 / np.sqrt(100)
         sources = {"array": replace(data, rate_rps=data.rate_rps + walk)}
         walked.append(replace(recording, sources=sources))
     return sharing(runs_in(walked), fit_known(walked, []))

@@ -134,7 +134,7 @@ def test_an_effect_that_leaves_much_of_its_kind_in_a_run_that_contradicts_it_is_
 def test_an_error_that_gyros_share_is_no_wander_of_their_biases_and_leaves_no_law_certain() -> None:
     # The biases oscillate as an oven does after power-on. A sum of decays imitates that in part.
     world = open_worlds.made(open_worlds.Case("oven_overshoot", 1.0, 1))
-    fitted, verification, clean = (first_gyros(2, *own) for own in (world.fitted, [world.verification], [world.clean]))
+    fitted, verification, clean = (first_gyros(3, *own) for own in (world.fitted, [world.verification], [world.clean]))
     found = investigate(fitted, verification)
     _, true_after_rps = true_errors(found, clean[0])
     assert found.after.rms_rps == pytest.approx(true_after_rps, rel=0.2)

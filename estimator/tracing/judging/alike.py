@@ -25,7 +25,7 @@ def with_alike_laws(search: Search, parts: Sequence[Part], held_back: Sequence[R
 
 
 def _in_doubt(part: Part) -> bool:
-    return part.tone is None and bool(part.candidate.law) and part.share < CERTAIN
+    return part.tone is None and bool(part.candidate.law) and 0 < part.share < CERTAIN
 
 
 def _with_alike(search: Search, parts: Sequence[Part], part: Part, held_back: Sequence[Run]) -> Part:

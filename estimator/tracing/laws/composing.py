@@ -59,7 +59,7 @@ def laws_of(runs: Sequence[Run]) -> list[Candidate]:
     for length, listed in enumerate(_listed(offers, gimbals), 1):
         prior = _RARE + _LONGER * (length - 1) - float(np.log(max(len(listed), 1)))
         found += [c for law, kind in listed if (c := _candidate(runs, law, kind, prior)) is not None]
-    flexible = flexible_laws(runs, offers, gimbals)
+    flexible = flexible_laws(runs, offers, runs[0].grid.gimbals)
     prior = _RARE + _LONGER * len(_LAWS) - float(np.log(max(len(flexible), 1)))
     for law, kind in flexible:
         candidate = _candidate(runs, law, kind, prior, whole=False)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.effects.constructed import constructed
+from estimator.effects.law import needs_of
 from estimator.estimation.runs.run import Run
 from estimator.types import Floats
 
@@ -36,9 +37,12 @@ def flexible_laws(runs: Sequence[Run], offers: frozenset[str], gimbals: Sequence
     fixed += [decays, _times(decays, "u"), plays]
     for axis in gimbals:
         around = _bumps(f"angle_{axis}")
-        fixed += [around, _times(around, f"u_{axis}"), _bends(f"rate_{axis}", _nodes_of_rate(f"rate_{axis}", runs))]
-    fixed += [_bends("a", _nodes_of_rate("a", runs))]
-    fixed += [_bends(name, _nodes(name, runs, _FORCE_NODES)) for name in ("gs", "gx", "gy", "gz")]
+        fixed += [around, _times(around, f"u_{axis}")]
+        if len(gimbals) > 1:  # the rate of a single axis is that of the body
+            fixed.append(_bends(f"rate_{axis}", _nodes_of_rate(f"rate_{axis}", runs)))
+    fixed.append(_bends("a", _nodes_of_rate("a", runs)))
+    forces = [name for name in ("gs", "gx", "gy", "gz") if needs_of(name) <= offers]
+    fixed += [_bends(name, _nodes(name, runs, _FORCE_NODES)) for name in forces]
     lagged = [_lagged(speed), _times(_lagged(speed), "u")]
     if "temperature" in offers:
         warmth = _bends("T", _nodes("T", runs))

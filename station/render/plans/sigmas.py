@@ -21,12 +21,15 @@ _NOT_REACHED = "[bold red]NOT REACHED[/]"
 _UNOBSERVABLE = "Errors in these proportions have no effect in this script; only the data sheet limits them."
 
 
-def verdict_line(plan: Plan) -> Shown:
-    """Return whether the plan reaches the sigmas that the bench requires, which gyros miss them, or that none are."""
-    if not requires_sigmas(plan):
+def verdict_line(plan: Plan, others_missed: Sequence[str] = ()) -> Shown:
+    """Return whether the plan reaches the sigmas that the bench requires, what misses them, or that none are required.
+
+    ``others_missed`` names what else than gyros misses its own.
+    """
+    if not requires_sigmas(plan) and not plan.bench.limits.forces.requires_sigmas:
         return line(_NOTHING_REQUIRED)
     gyros = zip(plan.forecast.gyros, plan.reached, strict=True)
-    missed = [gyro.name for gyro, reached in gyros if not reached.all()]
+    missed = [*(gyro.name for gyro, reached in gyros if not reached.all()), *others_missed]
     if not missed:
         return line(_REACHED)
     return line(f"{_NOT_REACHED}  sigmas that the bench requires, for {escape(', '.join(missed))}")

@@ -305,6 +305,25 @@ def test_stop_is_for_no_other_session_while_the_bar_is_about_a_run_that_has_ende
         assert session.heard == [{"do": "stop"}]
 
 
+def test_a_stop_that_was_sent_to_the_run_shown_is_for_no_other_when_the_app_is_late(place: Path, runs: Path) -> None:
+    with Replay("stopped", 30.0, after_stop="stopped") as session:
+        app = StationApp(Choices(bench="bench.toml", script="short.toml", folder=runs), attach=True)
+
+        async def drive(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: app.shown and app.shown.snapshot)
+            app.stop_from_thread()
+            await until(pilot, lambda: app.shown and app.shown.at_rest)
+            await open_another(app, pilot)
+            with Replay("pass", 20.0, pid=4243) as other:
+                await until(pilot, lambda: app.others)
+                app.action_stop()
+                await until(pilot, lambda: all(w.is_finished for w in app.workers if w.group == "sessions"))
+                assert not other.heard
+
+        driven(app, drive)
+        assert session.heard == [{"do": "stop"}]
+
+
 def test_a_small_terminal_says_how_many_sessions_it_does_not_show(place: Path) -> None:
     with Replay("pass", 20.0), Replay("pass", 20.0, pid=4243):
         app = HistoryFirst(CHOICES)
