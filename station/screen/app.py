@@ -144,7 +144,7 @@ class StationApp(App[None]):
             if not (sent or self._link.stop()):
                 self.notify("the session cannot be reached: use the emergency stop of the table", severity="error")
         elif not for_one:
-            self.work(self._stop_others, "sessions")
+            self.work(self._stop_others, "stop")
         if for_one:
             self._for_one_s = time.monotonic()
         self.show_stop()

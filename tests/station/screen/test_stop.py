@@ -297,7 +297,7 @@ def test_stop_is_for_no_other_session_while_the_bar_is_about_a_run_that_has_ende
             with Replay("pass", 20.0, pid=4243) as other:
                 await until(pilot, lambda: app.others)
                 await pilot.press("f9")
-                await until(pilot, lambda: all(w.is_finished for w in app.workers if w.group == "sessions"))
+                await until(pilot, lambda: all(w.is_finished for w in app.workers if w.group in ("sessions", "stop")))
                 assert app.shown is stopped
                 assert not other.heard
 
@@ -317,7 +317,7 @@ def test_a_stop_that_was_sent_to_the_run_shown_is_for_no_other_when_the_app_is_l
             with Replay("pass", 20.0, pid=4243) as other:
                 await until(pilot, lambda: app.others)
                 app.action_stop()
-                await until(pilot, lambda: all(w.is_finished for w in app.workers if w.group == "sessions"))
+                await until(pilot, lambda: all(w.is_finished for w in app.workers if w.group in ("sessions", "stop")))
                 assert not other.heard
 
         driven(app, drive)
