@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
+from estimator.estimation.calibrate import calibrate
 from estimator.recordings.reading import read_recording
 from estimator.recordings.writing import write_recording
 from station.bench.bench import Bench, read_bench
@@ -56,6 +57,17 @@ def test_a_mounting_error_turns_the_device_about_its_own_axes() -> None:
     assert straight is not None
     assert turned is not None
     assert (turned - straight).mean(axis=0) == pytest.approx([0.0, 9.806 * np.sin(0.02), 0.0], abs=0.01)
+
+
+def test_a_gyro_that_is_left_out_leaves_the_others_beside_rounded_angles() -> None:
+    count_rad = 2 * np.pi / 65536
+    run = simulate_bench(mounted('["x", "y", "z"]'), load_script(Path("full-imu-one-axis")), 1)
+    table, data = run.table, run.sources["mti"]
+    assert table is not None
+    dead_rps = np.where(np.arange(3) == 1, np.nan, data.rate_rps)
+    rounded = replace(table, angle_rad=np.round(table.angle_rad / count_rad) * count_rad)
+    run = replace(run, reference=rounded, site=None, sources={"mti": replace(data, rate_rps=dead_rps)})
+    assert [gyro.name for gyro in calibrate(run, innovations=False).gyros] == ["x", "z"]
 
 
 def test_a_recording_holds_the_mounting(tmp_path: Path) -> None:

@@ -67,6 +67,7 @@ def test_calibrate_prints_states_and_places(calibrated: tuple[Path, str]) -> Non
         assert float(re.findall(r"-?[\d.]+", row.replace(one.name, ""))[0]) == pytest.approx(1e6 * one.states[0], abs=1)
     for words in ("Places from where", "delay:", "gravity: 9.80620", "Intrinsic parameters", "local gravity"):
         assert words in text
+    assert "the axes of the table stand between the counts of their encoders" in " ".join(text.split())
 
 
 def test_json_has_the_values_in_si(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,7 +115,9 @@ def test_the_lever_arm_has_a_limit_of_its_sigma(
         assert ("sigma of lever arm" in judged["reason"]) == (outcome == "FAIL")
     bench = limited(tmp_path, f'sd_lever_arm = "{0.5 * widest_mm:.6f} mm"')
     assert main(["plan", "full-imu", "--bench", str(bench)]) == 1  # the run would end FAIL
-    (required,) = [line for line in capsys.readouterr().out.splitlines() if re.search(r"required +│? *-", line)]
+    text = capsys.readouterr().out
+    assert "NOT REACHED  sigmas that the bench requires, for lever arm" in text
+    (required,) = [line for line in text.splitlines() if re.search(r"required +│? *-", line)]
     shown = [float(number) for number in re.findall(r"[0-9.]+", required)]
     assert shown == pytest.approx([0.5 * widest_mm] * 3, rel=0.05)
 
