@@ -160,10 +160,10 @@ def _conclude(
     if unexplained and _explained_by(search, terms, doubtful):
         unexplained = None
     shared = errors.sharing.certain
-    if shared and not unexplained and not doubtful:
-        unexplained = unexplained_of(fitted[1])
-    if shared and not doubtful and (unexplained is None or unexplained.depends_on == NOTHING_MEASURED):
-        unexplained = Unexplained(COMMON_CAUSE, errors.sharing.share)
+    if shared and not doubtful:
+        unexplained = unexplained or unexplained_of(fitted[1])
+        if unexplained is None or unexplained.depends_on == NOTHING_MEASURED:
+            unexplained = Unexplained(COMMON_CAUSE, errors.sharing.share)
     faulty = faults_added(faults)
     causes = Causes.among(search, certain, after, fitted[1], unexplained)
     verdict = verdict_of([*(a.effect for a in faulty), *_called(causes.parts)], doubtful, unexplained)

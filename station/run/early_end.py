@@ -35,15 +35,9 @@ _IN_A_ROW = 2  # so many confirmations: a repeated estimate often falls below it
 
 def check_early_end(bench: Bench) -> None:
     """Check that the bench states required sigmas, of gyros or of accelerometers that it has; UsageError if not."""
-    forces = _limits_forces(bench) and any(imu.used and imu.force_sheet is not None for imu in bench.imus)
+    forces = bench.limits.forces.requires_sigmas and any(imu.used and imu.force_sheet is not None for imu in bench.imus)
     if not forces and not np.isfinite(bench.limits.sds).any():
         raise UsageError(sentence("run.no_sigmas"))
-
-
-def _limits_forces(bench: Bench) -> bool:
-    """Return whether the bench limits sigmas of accelerometers."""
-    limits = bench.limits.forces
-    return bool(np.isfinite([*limits.sds, limits.sd_arm_m]).any())
 
 
 @dataclass(kw_only=True, frozen=True, slots=True)
@@ -136,7 +130,7 @@ class EarlyEnd:
         sheet for accelerometers do not count. An accelerometer that is excluded, by its name alone, or a device whose
         accelerometers have sent nothing ("accelerometers of NAME") stays in the list.
         """
-        if not _limits_forces(self._bench):
+        if not self._bench.limits.forces.requires_sigmas:
             return []
         awaited: list[str] = []
         for imu in self._imus:
@@ -164,7 +158,7 @@ class EarlyEnd:
             devices.append((imu.config, [(s, s.blocks(), s.filter.offset_sd_s) for s in sources]))
         readings = self._live.readings(self._bench.table.uncertainty)
         samples: list[ImuData] = []
-        if _limits_forces(self._bench):
+        if self._bench.limits.forces.requires_sigmas:
             samples = [
                 self._force_data(name, imu.config)
                 for imu in self._imus

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.estimation.runs.run import Run
+from estimator.estimation.runs.run import Run, with_gyro
 from estimator.tracing.augmented import Augmented, Part
 from estimator.tracing.judging.expected import expected_squares
 from estimator.tracing.search import CERTAIN, Search
@@ -62,9 +62,8 @@ def _difference(runs: Sequence[Run], first: int, one: Augmented, other: Augmente
     ``first`` is the number of the first run among all.
     """
     squares = 0.0
-    for number, run in enumerate(runs, first):
-        for gyro, name in enumerate(run.array.names):
-            if name in one.names:
-                apart = (one.predict(run, number, gyro)[0] - other.predict(run, number, gyro)[0])[run.weight > 0]
-                squares += float(np.sum(apart**2))
+    for name in one.names:
+        for number, run, gyro in with_gyro(runs, name):
+            said, otherwise = (model.predict(run, first + number, gyro)[0] for model in (one, other))
+            squares += float(np.sum((said - otherwise)[run.weight > 0] ** 2))
     return squares

@@ -67,18 +67,18 @@ def sharing(runs: Sequence[Run], model: Augmented) -> Sharing:
     if not stretches:
         return NOTHING_SHARED
     random = np.random.default_rng(0)
-    measured = np.vstack([own.left(own.errors[None])[0] for own in stretches])
+    measured = np.vstack([own.errors for own in stretches])
     sizes = np.sqrt(np.mean(measured**2, axis=0))
     if not sizes.all():
         return NOTHING_SHARED
-    found = [_Alike.of(measured[rows] / sizes) for rows in _rows_of(stretches)]
+    bands = _rows_of(stretches)
+    found = [_Alike.of(measured[rows] / sizes) for rows in bands]
     as_much = np.zeros(len(found))
     at_once = max(_MOST_SIGNS // measured.size, 1)
     for first in range(0, _CHANGES, at_once):
-        changed = np.concatenate(
-            [own.left(own.changed(random, min(at_once, _CHANGES - first))) for own in stretches], axis=1
-        )
-        for number, rows in enumerate(_rows_of(stretches)):
+        count = min(at_once, _CHANGES - first)
+        changed = np.concatenate([own.changed(random, count) for own in stretches], axis=1)
+        for number, rows in enumerate(bands):
             as_much[number] += np.sum(_Alike.of(changed[:, rows] / sizes).statistic >= found[number].statistic)
     chances = (1 + as_much) / (_CHANGES + 1)
     most = int(np.argmin(chances))
@@ -88,23 +88,24 @@ def sharing(runs: Sequence[Run], model: Augmented) -> Sharing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stretch:
-    """Slow cosine coefficients of a stretch beside a model: ``errors`` (k, n) of n gyros.
+    """Slow cosine coefficients of a stretch: ``errors`` (k, n) of n gyros, without what a model's columns can give.
 
-    ``directions`` (n, k, c) are orthonormal, those that the columns of the model have in each gyro.
+    ``directions`` (n, k, c) are orthonormal, those that the columns have in each gyro.
     """
 
     errors: Floats
     directions: Floats
 
-    def left(self, errors: Floats) -> Floats:
-        """Return errors (d, k, n) of d draws without what the columns can give."""
-        along = np.einsum("nkc,dkn->dnc", self.directions, errors)
-        return np.asarray(errors - np.einsum("nkc,dnc->dkn", self.directions, along))
-
     def changed(self, random: np.random.Generator, count: int) -> Floats:
-        """Return ``count`` draws (count, k, n) of the errors with random signs."""
+        """Return ``count`` draws (count, k, n) of the errors with random signs, without what the columns can give."""
         signs = random.choice(np.array([-1.0, 1.0], dtype=np.float32), (count, *self.errors.shape))
-        return np.asarray(signs * self.left(self.errors[None]))
+        return _beside(self.directions, signs * self.errors)
+
+
+def _beside(directions: Floats, errors: Floats) -> Floats:
+    """Return errors (d, k, n) of d draws without their parts along the directions (n, k, c) of each gyro."""
+    along = np.einsum("nkc,dkn->dnc", directions, errors)
+    return np.asarray(errors - np.einsum("nkc,dnc->dkn", directions, along))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,5 +163,7 @@ def _stretches(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> l
         left, singular, _ = np.linalg.svd(
             (each / np.where(norms > 0, norms, 1.0)).transpose(2, 1, 0), full_matrices=False
         )
-        found.append(_Stretch(own_errors, left * (singular > _SEEN)[:, None, :]))
+        directions = left * (singular > _SEEN)[:, None, :]
+        if len(own_errors) > directions.shape[2]:  # else the columns can give anything
+            found.append(_Stretch(_beside(directions, own_errors[None])[0], directions))
     return found

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimator.estimation.runs.run import Run, with_gyro
 from estimator.estimation.spectra import Stretch, cosines
 from estimator.tracing.augmented import Augmented
-from estimator.tracing.judging.shared_errors import NOTHING_SHARED, Sharing
+from estimator.tracing.judging.shared_errors import Sharing
 from estimator.tracing.judging.verification import DRAWS, Drawn, phases_of
 from estimator.tracing.residuals.origin import shape_of
 from estimator.types import Floats
@@ -64,7 +64,7 @@ def with_structure(
     first: int,
     models: tuple[Augmented, Augmented],
     errors: Mapping[str, Drawn],
-    sharing: Sharing = NOTHING_SHARED,
+    sharing: Sharing,
 ) -> dict[str, Drawn]:
     """Return the drawn errors of two models on ``runs``, plus what the phases show beyond them.
 

@@ -44,7 +44,7 @@ def _sigmas(planned: PlannedForces, limits: ForceLimits) -> Table:
     if math.isfinite(limits.sd_arm_m):
         rows.append(["middle", *[""] * len(figures), *map(place.text, planned.calibration.arm_sd_m.tolist())])
     required = (*zip(figures, limits.sds, strict=True), *[(place, limits.sd_arm_m)] * 3)
-    if any(math.isfinite(sd) for _, sd in required):
+    if limits.requires_sigmas:
         rows.append(["required", *(f.text(sd) if math.isfinite(sd) else "-" for f, sd in required)])
     title = f"Predicted standard deviations of the accelerometers of {escape(planned.device)}"
     return rich_table(title, heads, "l" + 7 * "r", rows)
