@@ -58,7 +58,8 @@ class Following:
     def follows(self) -> Floats:
         """Return the share (m,) of each output's variance that the line explains, 0 where none of it is known.
 
-        Intervals that deviate far more than nearly all others are left out: there the reference jumps.
+        It is from 0 to 1, and 0 for a constant output. Intervals that deviate far more than nearly all others are left
+        out: there the reference jumps.
         """
         left = np.abs(self.means.outputs - self.rows[0] - self.means.rates(self.delay_s) @ self.rows[1:])
         shares = np.zeros(left.shape[1])
@@ -327,7 +328,8 @@ def _line(means: _Means, delay_s: float, fits: Flags) -> tuple[Floats, Floats, F
 def _scales(squares: Floats) -> Floats:
     """Return the scales (..., 4) of columns with such mean squares: one for the body rate about all axes.
 
-    An axis about which nothing but the Earth turns is not seen: its noise would be called a sensitivity.
+    The first column, the constant, has its own. An axis about which nothing but the Earth turns is not seen: its noise
+    would be called a sensitivity.
     """
     size = np.sqrt(squares)
     size[..., 1:] = np.max(size[..., 1:], axis=-1, keepdims=True)

@@ -120,7 +120,10 @@ def _of_turnings(seen: Sequence[tuple[Stamps, Sequence[_Turning]]]) -> tuple[Axi
 
 
 def coverage_object(coverage: AxisCoverage) -> dict[str, Any]:
-    """Return a coverage as a JSON object; times in seconds since the first sample."""
+    """Return a coverage as a JSON object of its fields, ``proved`` and ``not_proved_s``; times in s since the start.
+
+    The start is the first sample. ``covered_s`` is a list of start and end or None, ``not_proved_s`` a list of such.
+    """
     return {
         "axis": coverage.axis,
         "proved": coverage.proved,
@@ -132,7 +135,10 @@ def coverage_object(coverage: AxisCoverage) -> dict[str, Any]:
 
 
 def coverage_of(values: Mapping[str, Any]) -> AxisCoverage:
-    """Return a coverage from its JSON object; KeyError, TypeError or ValueError if it is not one."""
+    """Return a coverage from its JSON object; KeyError, TypeError or ValueError if it is not one.
+
+    ``proved`` and ``not_proved_s`` are not read: they follow from the others.
+    """
     covered_s = None
     if values["covered_s"] is not None:
         start_s, end_s = values["covered_s"]
@@ -209,7 +215,8 @@ def _middle(turning: _Turning, amount: Floats) -> tuple[float, float]:
 def _turnings(recording: Recording, data: ImuData) -> Iterator[_Turning]:
     """Yield the motion of the body and, for a table, that of its axes as a second one.
 
-    Without turns, table or rates the gyros of the source themselves give the motion. A motion may have no rows.
+    Without turns, table or rates the gyros of the source themselves, less their medians, give the motion. A motion may
+    have no rows.
     """
     turns = recording.turns
     rates = recording.reference.external_rates()

@@ -40,7 +40,7 @@ def usable(data: ImuData, *, fine: bool, comparison: ReferenceComparison | None 
     """Return the channels of an ordered source (``in_order``) that can be estimated.
 
     With ``fine`` readings, as on a moving table, a constant output is a defect, and a channel that stays at its extreme
-    values is returned separately, with those removed. Coarse readings may rest on one count. ``comparison`` with the
+    values is a part of its own, in which these are NaN. Coarse readings may rest on one count. ``comparison`` with the
     reference shows both in any case. All channels without limits are one part, the first; excluded are dead channels
     and those without a valid number. Notes are on limits and dead zones.
     """
@@ -102,7 +102,7 @@ def _dead(column: Floats, gyro: int, *, fine: bool, comparison: ReferenceCompari
 def _limited(data: ImuData, gyro: int, *, fine: bool, comparison: ReferenceComparison | None) -> tuple[Flags, str]:
     """Return as flags (n,) which samples of gyro number ``gyro`` are at or beside a limit, and its levels in words.
 
-    Extreme values count as limits only if readings are ``fine``; ``comparison`` shows further ones below the range.
+    The words are "" if there is no limit; one output is finite at least. Extreme values count as limits only if readings are ``fine``; ``comparison`` shows further ones below the range.
     """
     column = data.rate_rps[:, gyro]
     low, high = float(np.nanmin(column)), float(np.nanmax(column))

@@ -187,7 +187,8 @@ def coarser(reference: Reference, data: ImuData) -> bool:
 def sample_noise(data: ImuData) -> Floats:
     """Return the white noise of one sample of each channel (m,) in rad/s, one sigma, from differences of neighbours.
 
-    It is at least that of rounding to the smallest step, and NaN for fewer than two samples.
+    Only samples in which all channels are finite count. It is at least that of rounding to the smallest step, and NaN
+    for fewer than two samples.
     """
     # Median of |N(0, 2 s^2)| is 0.954 s; the quantum is the floor for data rounded so that most do not differ.
     rate = in_order(data)[1]

@@ -14,12 +14,11 @@ _SINGLY = 512  # so many coefficients are summed one by one, higher ones by band
 
 
 def record_length_s(noise: NoiseTerms, term: int, share: float) -> float:
-    """Return the length of one rest after which the relative standard uncertainty of a term is ``share``; inf if too
-    long.
+    """Return the length in s of one rest after which a term has the relative standard uncertainty ``share``.
 
     ``term`` is its number, 0 to 2 for N, B and K. From the Fisher information of the series under the estimated noise
     (Cramer-Rao). A term that was not seen is assumed to have its upper limit. The least result is 32 times
-    ``noise.shortest_s``.
+    ``noise.shortest_s``; beyond ``LONGEST_S`` it is inf.
     """
     sizes = noise.values
     found = (noise.n, noise.b, noise.k)[term]

@@ -48,7 +48,7 @@ class ReferenceComparison:
     ) -> "ReferenceComparison":
         """Return the comparison for a source in order of time; ``line`` is how it follows the reference.
 
-        Without a line the expected outputs are NaN and the scatter is infinite; limits are known only from turns.
+        Without a line the expected outputs are NaN, scatter and slopes infinite, and limits are known only from turns.
         """
         t_s, outputs = _thinned(data)
         m = len(data.array)

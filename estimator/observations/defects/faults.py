@@ -72,7 +72,7 @@ def held_samples(data: ImuData) -> int:
 
 
 def without_stuck(data: ImuData, comparison: ReferenceComparison | None = None) -> tuple[ImuData, list[Fault]]:
-    """Return a source with stuck values set to NaN, and a fault for each time.
+    """Return a source with stuck values set to NaN, and a fault of the gyro for each time (``from``, ``until`` in s).
 
     A value is stuck if it repeats for a quarter of a second, and far longer than others do. Not counted are values at
     the extremes of the output, outputs that never change, and times in which all gyros stand still on a table. Coarse
@@ -146,7 +146,7 @@ def split_faulty(data: ImuData) -> list[ImuData]:
 def saturations(notes: Sequence[str], data: ImuData) -> list[Fault]:
     """Return a fault for each gyro whose outputs reach a limit, by the notes on its channels.
 
-    ``notes`` are those of ``health.usable``. The limit is the largest size of its outputs.
+    ``notes`` are those of ``health.usable``. The fault holds ``limit`` in rad/s, the largest size of its outputs.
     """
     faults = []
     for i, name in enumerate(data.array.names):

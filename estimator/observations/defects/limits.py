@@ -43,7 +43,8 @@ def limits_of(output: Floats, expected: Floats, scatter_rps: float) -> list[Limi
     """Return the upper and lower limits of outputs (n,) whose expected values (n,) are known to ``scatter_rps``, one
     sigma.
 
-    Empty for too few outputs that are known. Spikes of the expected values are ignored.
+    The upper one is first; one that is not seen is left out. Empty for too few outputs that are known. Spikes of the
+    expected values are ignored.
     """
     known = np.isfinite(output) & np.isfinite(expected)
     output, expected = output[known], expected[known]

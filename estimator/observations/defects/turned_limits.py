@@ -47,7 +47,7 @@ def _at_rest(output: Floats, spans: NDArray[np.intp]) -> float:
 
 
 def _of_gyro(data: ImuData, output: Floats, level: float, spans: NDArray[np.intp], about: Floats) -> list[Limit]:
-    """Return the limits of one gyro; empty if there are too few turns of either kind.
+    """Return the limits of one gyro, the upper one first; empty if there are too few turns of either kind.
 
     ``output`` (n,) is relative to ``level``, its value at rest. ``spans`` (t, 2) are the first row and one past the
     last of its turns, ``about`` (t,) the angles about its sense axis in rad.
