@@ -41,7 +41,8 @@ class StrictTable:
     def parse(cls, text: str, file: str, error: type[Exception]) -> Self:
         """Return the top table of a TOML text; ``file`` names it in errors.
 
-        ``error`` if the text is invalid or nested too deeply. Keys of many parts are refused before the slow parser.
+        ``error`` if the text is invalid or nested too deeply, or a value has control characters. Keys of many parts
+        are refused before the slow parser.
         """
         try:
             if any(len(_STEP.findall(key)) > _DEEPEST for key in _KEY_ENDS.split("".join(text.split(" ")))):
@@ -98,8 +99,8 @@ class StrictTable:
     ) -> float:
         """Take the finite number of ``key``, ``default`` if it is left out.
 
-        The table's error if it is not between ``least`` and ``most``, not above zero while ``positive``, or left out
-        without a default.
+        The table's error if it is no number, not between ``least`` and ``most`` (included), not above zero while
+        ``positive``, or left out without a default, which is not checked.
         """
 
         def convert(value: object) -> float:
@@ -171,8 +172,9 @@ class StrictTable:
         return [self._within(d, key, i) for i, d in enumerate(data)]
 
     def done(self, also: Iterable[str] = ()) -> None:
-        """Raise the table's error for the first key that nobody took; ``also`` are keys that would be known in other
-        cases.
+        """Raise the table's error for the first key that nobody took; ``also`` are keys that are known in other cases.
+
+        The message says whether the key is unknown, or cannot be combined with the others.
         """
         for key in self._data:
             known = sorted({*self._known, *also})
@@ -214,10 +216,9 @@ class StrictTable:
         return found
 
     def take(self, key: str, default: T | None, convert: Callable[[object], T]) -> T:
-        """Take a key and return ``convert(value)``, or ``default`` if it is missing; with default None the key is
-        required.
+        """Take a key and return ``convert(value)``, or ``default`` as it is if it is missing; None: it is required.
 
-        The message of a ValueError of ``convert`` becomes the table's error.
+        The message of a ValueError or ArithmeticError of ``convert`` becomes the table's error, as does a missing key.
         """
         self._known.append(key)
         if key not in self._data:

@@ -23,6 +23,7 @@ ExternalRows = tuple[Floats, Floats]
 def reference_rows(reference: Measured, table: Table) -> Floats:
     """Return the rows of a reference in a file: attitudes (rows, 4) as w x y z, rates (rows, 3) or angles (rows, 1).
 
+    Rates are in rad/s, angles in rad; values that are not known are NaN.
     Attitudes are body to reference, also where the columns are rotation matrices. They are scaled to length 1; those
     off by more than 5 % are NaN. RecordingError if no row is usable, or the columns have another width or length.
     """

@@ -71,7 +71,7 @@ class _Part:
 
 
 def import_recording(mapping: Mapping, data_paths: Sequence[Path]) -> Imported:
-    """Return one recording of all files, in the order given, and what was refused.
+    """Return one recording of all files, in the order given, what was refused, notes, and the number of lost files.
 
     A file that cannot be used is refused and the others are imported; reference files among ``data_paths`` are skipped.
     RecordingError, with every reason, if nothing is left; also if no file is given or gyros are mixed up.
@@ -325,7 +325,7 @@ def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: i
 
 
 def _unit_notes(mapping: Mapping, table: Table) -> list[str]:
-    """Return notes if the file's row of units contradicts the unit of the gyro in the mapping."""
+    """Return notes if the file's row of units contradicts the unit of the gyro in the mapping; none for counts."""
     columns = mapping.gyro.columns
     said = {table.units.get(name, "").lower() for name in columns.names}
     return [
@@ -382,9 +382,10 @@ def _interpolated(log: Log, gyro_rows: NDArray[np.intp], values: Floats | None, 
 def _joined_recording(mapping: Mapping, parts: list[_Part], refused: list[Refused]) -> tuple[Recording, list[str]]:
     """Return the recording of all files, one after the other with gaps of 10 s, and its notes.
 
-    Signs and scales are taken from the data where the mapping says so. ``refused`` is noted in the attributes, of which
-    empty ones are left out. The site is kept only if Earth rate counts; else a note says so. RecordingError if gyros
-    are mixed up.
+    Signs and scales are taken from the data where the mapping says so. The attributes hold what is known of the import:
+    mapping, files and their starts, time fits, counts of rows left out, ``refused``, rests, factors and notes; empty
+    ones are left out. The site is kept only if Earth rate counts; else a note says so. RecordingError if gyros are
+    mixed up.
     """
     starts_s = [-float(parts[0].log.time.t_s[0])]
     for before, part in pairwise(parts):

@@ -234,7 +234,8 @@ def _time(file: _File) -> tuple[str | None, list[str], float]:
     """Return the name of the time column, the lines of the table [time] as text, and the usual step in s (0: unknown).
 
     Columns named like a time come first, then any that rise evenly or hold times of day; texts have no step. Without
-    such a column it is a variable with the rate; without one (None) a placeholder. The guess is noted in the file.
+    such a column it is a variable with the rate; without one (None) a placeholder. A guessed column is noted in the
+    file.
     """
     named = [name for name in file.names if _TIME.search(_base(name))]
     for name in [*named, *(n for n in file.names if n not in named)]:
@@ -275,11 +276,10 @@ def _said(name: str, units: Mapping[str, Sequence[str]]) -> str | None:
 
 
 def _triples(file: _File) -> dict[str, tuple[str, list[str]]]:
-    """Return by common name three columns x, y, z, or one variable of width three: what they seem to be, and their
-    names.
+    """Return by common name what three columns x, y, z, or one variable of width three, seem to be, and their names.
 
-    If no names are of that kind, neighbouring columns are taken in threes. Columns that are guessed already are left
-    out.
+    They seem to be what the common name says, else by their length an accelerometer or a gyro. If no names are of that
+    kind, neighbouring columns are taken in threes. Columns that are guessed already are left out.
     """
     shared: dict[str, dict[str, str]] = {}
     for name in file.names:
@@ -302,8 +302,8 @@ def _triples(file: _File) -> dict[str, tuple[str, list[str]]]:
 def _by_place(file: _File) -> dict[str, tuple[str, list[str]]]:
     """Return columns of numbers that have no guess, in threes in the order of the file, for names that say nothing.
 
-    By the first one's name: what the three seem to be, and their names. Those as long as gravity are accelerometers.
-    One or two columns at the end are left out.
+    By the first one's name: what the three seem to be, and their names. Those as long as gravity are accelerometers,
+    all others gyros. One or two columns at the end are left out.
     """
     left = [n for n in file.names if n in file.numbers and n not in file.guesses and file.numbers[n].ndim == 1]
     found = {}
@@ -336,7 +336,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _rate_unit(file: _File, names: Sequence[str]) -> tuple[str, str]:
-    """Return the unit of rates in these columns, and how it was found in words: by name, or guessed by size.
+    """Return the unit of rates in these columns, and how it was found in words: by the first name, or guessed by size.
 
     Large numbers are counts, whose unit is "raw".
     """

@@ -67,7 +67,7 @@ def fit_times(stamps_s: Floats, values: Floats, position: NDArray[np.int64] | No
     whose stamp does not increase.
 
     RecordingError for fewer than eight stamps, and for stamps that are not finite, do not advance, or go back as for
-    two runs in a file.
+    two runs in a file. Its message begins with a verb: the caller puts the name of the file before it.
     """
     if len(stamps_s) < 8:
         raise RecordingError(sentence("importing.few_stamps", rows=len(stamps_s)))

@@ -157,7 +157,7 @@ def _timing(top: StrictTable, name: str, file_format: FileFormat, *, means: bool
 
 
 def _imu(section: StrictTable, file_format: FileFormat) -> ImuColumns:
-    """Return one IMU of a board; the section's error unless it has three gyros."""
+    """Return one IMU of a board; the section's error unless it states a name, accelerometers and three gyros."""
     name = section.string("name")
     accelerometer = section.table("accelerometer").whole(read_accelerometer)
     gyro = section.table("gyro").whole(partial(read_gyro, file_format=file_format))
@@ -207,7 +207,8 @@ def _gravity(section: StrictTable, latitude_rad: float | None) -> Gravity:
     """Return gravity as stated, that of the site, or the standard one if neither is known.
 
     Its uncertainty is ``gravity_ppm``, by default ``UNMEASURED_GRAVITY``; ``UNKNOWN_GRAVITY`` for the standard one. The
-    section's error if it is stated beside a site, or has an uncertainty or height without either.
+    section's error if it is stated beside a site or beyond 9.7 to 9.9 m/s2, or has an uncertainty or height without
+    either.
     """
     if section.has("gravity_mps2"):
         if latitude_rad is not None:

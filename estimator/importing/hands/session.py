@@ -18,8 +18,9 @@ from estimator.poses.turns import FewTurns, GyroSamples, calibrate_turns
 def calibrate_by_hand(mapping: PoseMapping, data_paths: Sequence[Path]) -> PoseSession:
     """Return the calibration from all files of one device, in known or unknown poses, or of several IMUs on a board.
 
-    A file that cannot be read is left out; RecordingError if none is named, with every reason if none is left, and for
-    gross errors.
+    A file that cannot be read is left out, with its reason in the result; a board must have a single one, which can be
+    read. RecordingError if none is named, with every reason if none is left, and for gross errors. Gyros that cannot be
+    calibrated in unknown poses are left out, with a note.
     """
     if not data_paths:
         raise RecordingError("no data file is given. Name at least one after the mapping")

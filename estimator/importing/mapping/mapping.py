@@ -239,8 +239,9 @@ def _reference_file(
 ) -> ReferenceFile:
     """Return the separate file that a section names, with its format, time and offset.
 
-    By name alone it has ``file_format`` and ``timing`` of the data, without limits; as a table it has a format of its
-    own, as has its time. The offset is 0 unless stated, None if it is to be found in the data.
+    Stated by name it has the ``file_format`` of the data, without limits and names of columns; stated as a table, a
+    format of its own. Its timing is ``timing`` unless its table of time states more than an offset. The offset is 0
+    unless stated, None if it is to be found in the data.
     """
     offset_s: float | None = 0.0
     if isinstance(section.again().value("file"), str):
@@ -258,10 +259,10 @@ def _reference_file(
 
 
 def read_format(section: StrictTable, protocols: Protocols, folder: Path) -> FileFormat:
-    """Return the file format of a section; the section's error for invalid limits or delimiters.
+    """Return the file format of a section; the section's error for anything unknown, invalid limits or delimiters.
 
-    Text is of kind csv, also where the section says tsv. ``protocols`` are further formats, which may look for files in
-    ``folder``.
+    Text is of kind csv, also where the section says tsv; its delimiter is "" for blanks. ``protocols`` are further
+    formats, which may look for files in ``folder``.
     """
     limits = section.stated(KEYS["file"])
     for what in ("row", "s"):

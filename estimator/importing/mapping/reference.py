@@ -265,10 +265,10 @@ def read_pose(section: StrictTable) -> Pose:
 
 
 def read_sections(section: StrictTable) -> tuple[Cuts, dict[str, StrictTable]]:
-    """Return how files are cut into sections, and the table of each section without its limits.
+    """Return how files are cut into sections, and by name the table of each section without its limits.
 
-    The section's error unless there is exactly one of a section list, a column of labels, and limits in s; or without
-    sections.
+    The section's error without sections, or unless there is exactly one of a section list, a column of labels, and
+    limits. Limits are start and end in s: if any section has one, all must have both, the end after the start.
     """
     table = section.table("sections")
     tables = {name: table.table(name) for name in table.remaining()}
