@@ -185,9 +185,10 @@ def _triad(
 ) -> Triad:
     """Return a triad for a matrix (3, 3), biases (3,), and the covariance (12, 12) of matrix, by rows, and biases.
 
-    ``kind`` names the sensors. ``shown`` (12,) is which of these the poses show. ``excess`` is the mean square of the
-    residuals in sigmas, with ``freedom`` degrees of freedom; above 1 it widens the covariance. ``scale_sd`` is the
-    relative standard deviation that all scale factors have in common.
+    ``kind`` names the sensors. ``shown`` (12,) is which of these the poses show. Covariance and flags of the triad are
+    those of its states instead, in the order of ``TRIAD_NAMES``. ``excess`` is the mean square of the residuals in
+    sigmas, with ``freedom`` degrees of freedom; above 1 it widens the covariance. ``scale_sd`` is the relative standard
+    deviation that all scale factors have in common.
     """
     from scipy.stats import norm, t
 

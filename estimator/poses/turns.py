@@ -373,10 +373,10 @@ def _result(
     """Return the calibration from the inverse C (3, 3) of the matrix G of the gyros; biases are the means over all
     rests.
 
-    ``covariance`` (9, 9) is that of C by rows, ``shown`` (9,) which of its elements the turns show. ``excess`` is the
-    mean square of the residuals in sigmas, with ``freedom`` degrees of freedom; above 1 it widens the covariance.
-    ``before_rad`` is the rms error of directions without calibration; ``refused`` are turns that were left out of
-    ``turns``.
+    ``covariance`` (9, 9) is that of C by rows, ``shown`` (9,) which of its elements the turns show. Those of the
+    calibration are of its twelve states instead; its biases always count as shown. ``excess`` is the mean square of the
+    residuals in sigmas, with ``freedom`` degrees of freedom; above 1 it widens the covariance. ``before_rad`` is the
+    rms error of directions without calibration; ``refused`` are turns that were left out of ``turns``.
     """
     from scipy.stats import norm, t
 

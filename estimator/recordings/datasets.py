@@ -24,8 +24,9 @@ def extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
 
 
 def create(file: Any, path: str, rows: NDArray[Any], *, growing: bool) -> Any:
-    """Create a dataset of these rows, with the unit that ``LAYOUT`` has for its name; ``growing`` makes it
-    extensible.
+    """Create and return a dataset of these rows, with the unit that ``LAYOUT`` has for its name, if any.
+
+    ``growing`` makes it extensible. ``path`` is that of the dataset, whose last part is its name.
     """
     row_bytes = max(rows.dtype.itemsize * int(np.prod(rows.shape[1:])), 1)
     chunk = max(min(32768 // row_bytes, 4096), 16)

@@ -194,7 +194,7 @@ class RecordingWriter:
     def write_journal(self) -> None:
         """Write all new entries to the journal, from any thread, with attributes first and rows of a group joined.
 
-        RecordingError if that fails. Nothing without a journal or new entries.
+        RecordingError if that fails: the journal then lacks these entries. Nothing without a journal or new entries.
         """
         with self._noting:
             entries, self._unwritten = self._unwritten, []
@@ -333,9 +333,9 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
-    """Write a complete recording, such as an imported one: site, reference, sources and series of other devices.
+    """Write a complete recording, such as an imported one: attributes, site, reference, sources, series of devices.
 
-    RecordingError if the file exists, cannot be created, or has no room for all rows; in the last case it is removed.
+    Innovations are not written. RecordingError if the file exists, cannot be created, or has no room for all rows; in the last case it is removed.
     """
     path = Path(path)
     writer = RecordingWriter(path, recording.attributes)
@@ -352,7 +352,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
 
 
 def _write_parts(writer: RecordingWriter, recording: Recording) -> None:
-    """Declare and append all parts of a recording."""
+    """Declare and append all parts of a recording but its attributes and innovations."""
     if recording.site is not None:
         writer.set_attributes(site_attributes(recording.site))
     reference = recording.reference
