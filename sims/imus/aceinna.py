@@ -53,8 +53,9 @@ class AceinnaDevice:
     def received(self, msg: can.Message) -> None:
         """Handle a frame from the bus: requests, save and reset commands, settings, and claims of its own address.
 
-        All other frames are ignored, as are remote, error and 11-bit frames. A claim by a device with a lower NAME gets
-        no answer, but the address is kept.
+        All other frames are ignored, as are remote, error and 11-bit frames. Save and reset are acknowledged and change
+        nothing; ``saved`` counts the former. A claim by a higher NAME is answered by its own; one by a lower NAME is
+        not, but the address is kept.
         """
         if not msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
             return

@@ -41,8 +41,8 @@ class CanNodes:
     async def serve(self) -> None:
         """Send the messages of all channels at the rate of ``setup`` until cancelled.
 
-        Rates are limited to 2000 deg/s. Faults leave samples out, send them twice or change rates. A temperature in a
-        message of its own is computed and sent once a second.
+        Rates are limited to 2000 deg/s. Faults leave samples out, send them twice, change rates or the clock. A
+        temperature in a message of its own is computed and sent once a second.
         """
         loop = asyncio.get_running_loop()
         device_s, start = 0.0, loop.time()
@@ -121,9 +121,9 @@ class _Node:
         }
 
     def messages(self, rates_rps: Floats, state: _NodeState, *, with_temperature: bool) -> list[can.Message]:
-        """Return the messages for one sample with the channel's rates (m,) and the rest of ``state``.
+        """Return the messages for one sample with the channel's rates (m,) and the rest of ``state``, by identifier.
 
-        Messages that carry only a temperature are left out unless ``with_temperature``; others repeat the last
+        Counter and time of the sample wrap. Messages that carry only a temperature are left out unless ``with_temperature``; others repeat the last
         temperature.
         """
         signals = self._signals

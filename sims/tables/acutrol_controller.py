@@ -31,7 +31,7 @@ class AcutrolController(LineController):
         wrapped: bool = True,
         identity: str = "Acutronic,ACUTROL3000,{serial},2.4",
     ) -> None:
-        """Prepare for axes with numbers as addresses; the option ``reply_prefix`` is the length of that of answers.
+        """Prepare for axes with numbers as addresses; answers begin with as many digits as the option ``reply_prefix``.
 
         ``wrapped`` angles are reported within 0 to 360 deg; ``identity`` is the answer to *idn?, with the serial
         number.
@@ -46,9 +46,9 @@ class AcutrolController(LineController):
         return any(axis.powered for axis in self._axes.values())
 
     def _take(self, line: bytes) -> None:
-        """Carry out a line and send its answer, or the text of an AclError, with the running number as prefix.
+        """Carry out a line and send its answer, or the text of an AclError, behind the running number of answers.
 
-        An empty line has no answer. The axes are brought up to date first.
+        The number is cut to the length of the prefix, and left out if that is 0. An empty line has no answer. The axes are brought up to date first.
         """
         if not line.strip():
             return

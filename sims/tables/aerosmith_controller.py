@@ -93,7 +93,7 @@ class AerosmithController(LineController):
 
         Returns "?" if refused, None for a jog, whose prompt is held back, else "". All are refused with the servo off,
         a jog also if it is too fast, no whole number of deg/s, or towards a pressed limit switch. VEL and ACL limit
-        moves; a refused jog towards a switch ends homing.
+        moves. All but refused ones end a homing under way, as does a jog refused because of a switch.
         """
         if not self._servo_on or (word == "JOG" and (abs(value) > self._most_dps * 1.001 or value % 1.0)):
             return "?"

@@ -140,8 +140,8 @@ class GalilController(LineController):
     def _setting(self, word: str, operand: str) -> str:
         """Set or return values of axes: ``JGA=1000``, ``JGA=?``, ``JG 1000,,500``, ``JG ?,?``; "" after setting.
 
-        ``word`` is the command, ``operand`` the rest. Axes with an empty value are left. Refused if one is invalid;
-        those before it have been set.
+        ``word`` is the command, ``operand`` the rest. Axes with an empty value are left. Refused if one is invalid, as
+        is "?" beside a number; those before it have been set.
         """
         one = _ONE_AXIS.fullmatch(operand)
         if one:
@@ -161,7 +161,8 @@ class GalilController(LineController):
         """Set values of a setting of the controller, as opposed to its axes, and return those asked for with "?".
 
         ``operand`` and the answer have values separated by commas; empty ones are left as they are. The answer is "" if
-        none was asked for. Refused for too many, or one that is no number.
+        none was asked for. Refused for too many, of which none is set, or for one that is no number; those before it
+        have been set.
         """
         own, values = self._own[word], [value.strip() for value in operand.split(",")]
         if len(values) > len(own):

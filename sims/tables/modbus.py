@@ -152,7 +152,7 @@ class ModbusTcp:
         self._buffer = b""
 
     def received(self, data: bytes) -> None:
-        """Answer each complete request in order.
+        """Answer each complete request in order, also for a unit that is no drive: by an exception.
 
         Frames of another protocol are discarded. ConnectionError if a length is impossible, as the next start is then
         unknown.
@@ -251,7 +251,10 @@ def drives_by_unit(setup: TableTwinSetup) -> dict[int, DriveRegisters]:
 def modbus_server(
     setup: TableTwinSetup, address: tuple[str, int], faults: FaultyModbus | None = None
 ) -> ModbusTcpServer:
-    """Return a server, not yet listening, for the axes' unit ids at a host and port; ``faults`` affect its frames."""
+    """Return a server, not yet listening, for the axes' unit ids at a host and port; ``faults`` affect its frames.
+
+    All its connections reach the same drives, made here.
+    """
     server = ModbusTcpServer(NOBODY, address=address, trace_packet=None if faults is None else faults.trace)
     make = partial(ModbusTcp, drives_by_unit(setup))
     server.callback_new_connection = partial(Connection, server, make)  # type: ignore[method-assign]

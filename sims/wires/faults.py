@@ -143,10 +143,10 @@ class TableFault:
     kind: str = field(default="fault", metadata=choice(_KINDS))
 
     def strike(self, table: TableModel, *, limits_trip: bool) -> None:
-        """Apply the fault to a table.
+        """Apply the fault to a table: open its interlock, freeze readings, trip the axis, or let it run at 20 deg/s.
 
         ``limits_trip``: the drives treat a limit switch as a reason to trip; else it is pressed, in the direction of
-        motion. A runaway axis turns at 20 deg/s.
+        motion, forward at rest.
         """
         if self.kind == "runaway":
             table.motion[self.axis].jog(table.clock(), _RUNAWAY_RPS, table.data[self.axis].max_acceleration_rps2)

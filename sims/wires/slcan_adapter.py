@@ -101,7 +101,8 @@ class SlcanAdapter(LineDevice):
     def _set_up(self, name: str, argument: str) -> bytes:
         """Carry out the command ``name`` with an argument: open or close the channel, or change a setting; return CR.
 
-        Settings are allowed only while the channel is closed. BELL if it is refused, or for closing a closed channel.
+        Opening and settings are allowed only while the channel is closed. Closing drops the queued frames. BELL if it
+        is refused, or for closing a closed channel.
         """
         if name == "C":
             was_open, self.is_open = self.is_open, False

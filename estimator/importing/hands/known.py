@@ -116,8 +116,8 @@ def _rests(
     """Return the rests in ``spans`` as observations, and the same as listed in the result.
 
     ``names`` are those of their sections in ``known``; ``rate`` (rows, 3) is that of the gyros, None without. Rests in
-    which an axis is at fault are only listed, as refused. ``count`` rests were listed before, and numbers go on from
-    there.
+    which an axis is at fault are only listed, as refused and without sigma. Lengths after calibration are not known
+    yet: those before stand for them. ``count`` rests were listed before, and numbers go on from there.
     """
     assert log.t_s is not None
     if not spans:

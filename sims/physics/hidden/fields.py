@@ -36,7 +36,7 @@ class HiddenError(ValueError):
 def hidden(kinds: dict[str, type[Any]], name: str) -> Callable[[type[T]], type[T]]:
     """Return a decorator that makes a class a frozen dataclass and enters it in ``kinds``.
 
-    ``name`` is its key there and in files.
+    ``name`` is its key there and in files, and becomes the attribute ``name`` of the class.
     """
 
     def entered(described: type[T]) -> type[T]:

@@ -85,7 +85,7 @@ class EncoderEccentricity(OfTable):
     def true_angle(self, axis: str, angle_rad: Floats) -> Floats:
         """Return the true angles (n,) at encoder angles ``angle_rad`` (n,), by Newton's method.
 
-        They are returned unchanged for another axis than the one with the error.
+        They are returned unchanged for an axis without the error, which may be of one axis or of all.
         """
         if self.axis not in (axis, ALL):
             return angle_rad
