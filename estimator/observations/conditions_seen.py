@@ -32,8 +32,8 @@ def holds_for(recording: Recording) -> str:
 def _rates_rps(recording: Recording) -> list[Floats]:
     """Return three arrays of rates (k,), about x, y, z: of a table's axes, of turns, of a reference, else of the gyros.
 
-    Those of turns are mean rates; lost ones of a reference or a gyro are NaN. An axis that a table does not have rests: its array is a single 0. Of several sources
-    the gyros of the first give the rates.
+    Those of turns are mean rates; lost ones of a reference or a gyro are NaN. An axis that a table does not have rests:
+    its array is a single 0. Of several sources the gyros of the first give the rates.
     """
     table = recording.table
     rates = recording.reference.external_rates()

@@ -102,7 +102,8 @@ def _dead(column: Floats, gyro: int, *, fine: bool, comparison: ReferenceCompari
 def _limited(data: ImuData, gyro: int, *, fine: bool, comparison: ReferenceComparison | None) -> tuple[Flags, str]:
     """Return as flags (n,) which samples of gyro number ``gyro`` are at or beside a limit, and its levels in words.
 
-    The words are "" if there is no limit; one output is finite at least. Extreme values count as limits only if readings are ``fine``; ``comparison`` shows further ones below the range.
+    The words are "" if there is no limit; one output is finite at least. Extreme values count as limits only if
+    readings are ``fine``; ``comparison`` shows further ones below the range.
     """
     column = data.rate_rps[:, gyro]
     low, high = float(np.nanmin(column)), float(np.nanmax(column))

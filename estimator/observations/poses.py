@@ -53,8 +53,9 @@ class _Turn:
 def estimate(data: ImuData, poses: Poses, prior: Prior) -> Laid:
     """Return the states that best carry the direction of gravity from rest to rest, and the noise of a sample at rest.
 
-    With them come their covariance, the number of turns in use, and the mean square misfit relative to the noise. The biases are those of the mean of all rests. A misfit beyond the noise widens the covariance. RecordingError if
-    the gyros do not span space, or there are gaps between all rests.
+    With them come their covariance, the number of turns in use, and the mean square misfit relative to the noise. The
+    biases are those of the mean of all rests. A misfit beyond the noise widens the covariance. RecordingError if the
+    gyros do not span space, or there are gaps between all rests.
     """
     array, m = data.array, len(data.array)
     if np.linalg.matrix_rank(array.p, tol=0.1) < 3:

@@ -27,7 +27,8 @@ def rest_noise(data: ImuData, reference: Reference) -> list[SensorNoise]:
 def sensor_series(recording: Recording) -> tuple[dict[str, list[Series]], list[str]]:
     """Return by source the series of its gyros and accelerometers while the body rests, and notes on those not usable.
 
-    That of the gyros is first. A source without accelerometers has no series of them, and no note. A source of which no series is usable has an empty list. RecordingError, with what to do, if no rest is known.
+    That of the gyros is first. A source without accelerometers has no series of them, and no note. A source of which no
+    series is usable has an empty list. RecordingError, with what to do, if no rest is known.
     """
     spans = recording.reference.rests_ns
     if not spans:

@@ -50,9 +50,9 @@ class _Motion:
 def locate(imus: Sequence[ImuSamples]) -> Board:
     """Return rotations and arms of IMUs against the first, from samples of fast turns.
 
-    With them come their uncertainties, the misfit, and how many samples are used and are at a limit. Fast are samples above a tenth of the fastest rate. Samples with blanks, and at or beside the limit of any sensor,
-    are left out. RecordingError for fewer than three IMUs or 200 samples, and for an IMU that shares too few rests with
-    the first.
+    With them come their uncertainties, the misfit, and how many samples are used and are at a limit. Fast are samples
+    above a tenth of the fastest rate. Samples with blanks, and at or beside the limit of any sensor, are left out.
+    RecordingError for fewer than three IMUs or 200 samples, and for an IMU that shares too few rests with the first.
     """
     if len(imus) < _FEWEST_IMUS:
         raise RecordingError(f"arms between {len(imus)} IMUs are not estimated: {_FEWEST_IMUS} and more are needed")

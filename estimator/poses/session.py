@@ -54,10 +54,10 @@ class _Means:
 def calibrate_poses(sessions: Sequence[PoseSamples], gravity: Gravity, least_s: float) -> PoseCalibration:
     """Return the nine parameters of one device from the rests of all its files, each of at least ``least_s``.
 
-    Rests that disagree with the others, or in which an axis is at fault, are refused and listed with the reason. If the unit of any file is not known, all outputs count
-    as counts, and their unit is not checked. Parameters that the poses do not show are marked in ``shown``, not left
-    out. RecordingError, naming the file, for gross errors, files without rests, and poses that are fewer than
-    ``_FEWEST`` or show nothing.
+    Rests that disagree with the others, or in which an axis is at fault, are refused and listed with the reason. If the
+    unit of any file is not known, all outputs count as counts, and their unit is not checked. Parameters that the poses
+    do not show are marked in ``shown``, not left out. RecordingError, naming the file, for gross errors, files without
+    rests, and poses that are fewer than ``_FEWEST`` or show nothing.
     """
     for samples in sessions:
         check_alive(samples.name, samples.outputs)

@@ -335,7 +335,8 @@ def _joined(blocks: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[A
 def write_recording(path: Path | str, recording: Recording) -> None:
     """Write a complete recording, such as an imported one: attributes, site, reference, sources, series of devices.
 
-    Innovations are not written. RecordingError if the file exists, cannot be created, or has no room for all rows; in the last case it is removed.
+    Innovations are not written. RecordingError if the file exists, cannot be created, or has no room for all rows; in
+    the last case it is removed.
     """
     path = Path(path)
     writer = RecordingWriter(path, recording.attributes)

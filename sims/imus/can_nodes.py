@@ -123,8 +123,8 @@ class _Node:
     def messages(self, rates_rps: Floats, state: _NodeState, *, with_temperature: bool) -> list[can.Message]:
         """Return the messages for one sample with the channel's rates (m,) and the rest of ``state``, by identifier.
 
-        Counter and time of the sample wrap. Messages that carry only a temperature are left out unless ``with_temperature``; others repeat the last
-        temperature.
+        Counter and time of the sample wrap. Messages that carry only a temperature are left out unless
+        ``with_temperature``; others repeat the last temperature.
         """
         signals = self._signals
         for signal, rate in zip(signals.rates, rates_rps.tolist(), strict=True):

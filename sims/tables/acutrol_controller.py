@@ -48,7 +48,8 @@ class AcutrolController(LineController):
     def _take(self, line: bytes) -> None:
         """Carry out a line and send its answer, or the text of an AclError, behind the running number of answers.
 
-        The number is cut to the length of the prefix, and left out if that is 0. An empty line has no answer. The axes are brought up to date first.
+        The number is cut to the length of the prefix, and left out if that is 0. An empty line has no answer. The axes
+        are brought up to date first.
         """
         if not line.strip():
             return
