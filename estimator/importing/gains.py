@@ -102,7 +102,8 @@ def _gain(p: Floats, basis: Floats, slope: Floats, follows: float, offset_rps: f
     """Return the gain of a gyro along p (3,), None if the motion does not turn about that.
 
     ``slope`` (t,) are its slopes in the t directions (3, t) of rotation in ``basis``, ``follows`` the share of its
-    output that these explain, ``offset_rps`` its output at rest. If it follows another axis, the gain has that axis.
+    output that these explain, ``offset_rps`` its output at rest. If it follows another axis, the gain has that axis,
+    and is ``mixed_up`` if that is far off and explains the output.
     """
     sensed = basis.T @ p
     if np.linalg.norm(sensed) < _SENSED:

@@ -192,10 +192,11 @@ def _rows_beside(
 ) -> ExternalRows:
     """Return instants (k,) in s and rows (k, c) of a reference in its own file, on the time of the data file ``log``.
 
-    ``gyros`` are instants and rates of the data file. The offset between the files is stated, by stamps of one clock,
-    or by the motion. Stamps of two clocks are corrected if they drift apart; where stamps scatter, the motion decides
-    between them and an even grid. Rows more than 1 s before or after the data file are left out. Notes are appended to
-    ``notes``. RecordingError if the files do not overlap, or the other one cannot be read or has no usable row.
+    Held values, spikes and repetitions are left out. ``gyros`` are instants and rates of the data file. The offset
+    between the files is stated, by stamps of one clock, or by the motion. Stamps of two clocks are corrected if they
+    drift apart; where stamps scatter, the motion decides between them and an even grid. Rows more than 1 s before or
+    after the data file are left out. Notes are appended to ``notes``. RecordingError if the files do not overlap, or
+    the other one cannot be read or has no usable row.
     """
     path, time, name = other.beside(log.path), log.time, other.beside(log.path).name
     table = read_table(path, other.format, wanted(other.timing, reference.columns.names))

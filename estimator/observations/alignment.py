@@ -411,8 +411,9 @@ def _refined(means: _Means, delay_s: float, fits: Flags) -> float:
 
 
 def _quantile(distances: Floats, inner: Flags, share: float) -> Floats:
-    """Return the distance (m,) from the line within which the ``share`` of the intervals lies; infinite without
-    intervals.
+    """Return the distance (m,) from the line within which the ``share`` of the intervals lies; infinite without any.
+
+    Those of ``inner`` (n, m) whose deviation in ``distances`` (n, m), of either sign, is known count.
     """
     found = np.full(distances.shape[1], np.inf)
     for gyro, own in enumerate(distances.T):

@@ -10,9 +10,9 @@ from estimator.recordings.recording import LAYOUT
 
 
 def extend(dataset: Any, length: int, rows: NDArray[Any]) -> int:
-    """Append rows to a dataset of ``length`` rows; return the new length.
+    """Write rows behind the first ``length`` rows of a dataset, which ends with them; return the new length.
 
-    Uses HDF5 directly, ten times as fast as h5py's indexing.
+    Rows that it had beyond ``length`` are lost. Uses HDF5 directly, ten times as fast as h5py's indexing.
     """
     rows = np.ascontiguousarray(rows)
     total = length + len(rows)

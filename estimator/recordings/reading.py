@@ -117,8 +117,8 @@ def _attributes(path: Path, file: Any) -> dict[str, Any]:
 def _recording_in(path: Path, file: Any) -> Recording:
     """Return the recording in an open file, whose ``path`` is for messages.
 
-    RecordingError if it is of another format, has no samples or no reference, holds invalid columns or needs too much
-    memory.
+    RecordingError if it is of another format, has no source or no reference, holds invalid columns or needs too much
+    memory. A source may have no rows.
     """
     attributes = _attributes(path, file)
     groups = (*file.get("imu", {}).values(), file.get("table", {}))
@@ -185,7 +185,8 @@ def _read_source(path: Path, name: str, group: Any) -> ImuData:
     """Return the samples of one source in its group; columns are cut to the shortest.
 
     Impossible rates become NaN and count as lost. A nominal rate that is not above 0 counts as not stated (None); a
-    missing prior is ``Prior()``, missing noise None. RecordingError if columns are missing or do not fit the axes.
+    missing prior is ``Prior()``, missing noise None. RecordingError if columns are missing or do not fit the axes, or
+    mounting or data sheet is invalid.
     """
     where = f"{path}: /imu/{name}"
     present = ["t_ns", "rate_rps", *(key for key in ("temperature_c", "accel_mps2", "counter") if key in group)]
@@ -297,8 +298,9 @@ def _read_reference(path: Path, file: Any) -> Reference:
     """Return the reference in an open file: readings of a table, else another instrument's rates, attitudes, turns or
     poses.
 
-    Of a table, columns are cut to the shortest, readings that are not finite dropped, missing rates derived from
-    angles. Turns without uncertainties get 0. RecordingError if there is no reference, or it is invalid.
+    Of a table, columns are cut to the shortest and put in the order of the gimbals, readings that are not finite
+    dropped, missing rates derived from angles. Turns without uncertainties get 0. RecordingError if there is no
+    reference, or it is invalid.
     """
     if "table" in file:
         where, group = f"{path}: /table", file["table"]

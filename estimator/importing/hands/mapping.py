@@ -182,7 +182,7 @@ def _accelerometer(section: StrictTable) -> tuple[Columns, bool]:
 
 
 def _known(reference: StrictTable, timing: Timing | None, *, scale_known: bool) -> KnownSections:
-    """Return the stated sections with their poses and turns.
+    """Return the stated sections: turns, which have ``angle_deg``, and else poses.
 
     The table's error if one states neither, and with given means or accelerometers without a known unit.
     """

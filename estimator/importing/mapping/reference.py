@@ -233,8 +233,8 @@ def _pattern(value: object) -> re.Pattern[str]:
 def _rests(section: StrictTable, *, by_gravity: bool) -> Rests:
     """Return the stated rests; the section's error for keys that exclude each other.
 
-    ``by_gravity``: an accelerometer measures the direction up in them. Rests are those of sections, or found in the
-    data, or everywhere; a pose may be stated for single files.
+    ``by_gravity``: an accelerometer measures the direction up in them. Rests are those of sections, else found in the
+    data, or everywhere if that is stated; a pose may be stated for single files.
     """
     gravity = None
     if by_gravity:
