@@ -70,12 +70,11 @@ def direct_run(
     """Return the readings of a table that carries out ``moves``, and of its gyros, computed without wires or drivers.
 
     ``mounting`` and ``truth`` are the axes and errors of the gyros; the same ``seed`` gives the same noise. ``gimbals``
-    are the axes, outermost first; ``heading_rad`` is the direction of the table's base from north. ``rate_hz`` is the
-    rate of gyro samples, ``table_rate_hz`` that of readings of the table. Angles are rounded to encoder counts; rates
-    are exact, as a drive's set point is. Gyros sample from one period after 0 up to ``duration_s``; the table is read
-    from 0 on, once beyond that. Moves have no limits but their own. The bench clock, which temperature and ``hidden``
-    effects follow, is at ``started_s`` when the run begins. ``accelerometers`` are the axes and truth of those that
-    sample with the gyros, in a field of ``gravity_mps2``.
+    are the axes, outermost first; ``heading_rad`` is the direction of the table's base from north. Gyros sample at
+    ``rate_hz`` from one period after 0 up to ``duration_s``; the table is read at ``table_rate_hz`` from 0 to one
+    period more. Angles are rounded to encoder counts; rates are exact, as a drive's set point is. Moves have no limits
+    but their own. The bench clock, for temperature and ``hidden`` effects, is at ``started_s`` when the run begins.
+    ``accelerometers`` are the axes and truth of those that sample with the gyros, in a field of ``gravity_mps2``.
     """
     table = hidden.table if hidden is not None else TableFaults()
     motions = _motions(moves, gimbals)
