@@ -297,9 +297,9 @@ def _samples_settled(
 def _felt_beside(other: ReferenceFile, accelerometer: Columns, log: Log, rows: int, notes: list[str]) -> Floats:
     """Return specific forces (rows, 3) from a separate file at the instants of the gyro's rows.
 
-    They are interpolated between its complete rows, at its stamps plus the offset stated. NaN beyond its ends, and in
-    rows of the data file that are not kept. Notes are appended to ``notes``. RecordingError if the files do not
-    overlap, or the other one cannot be read.
+    They are interpolated between its complete rows, at its stamps, by the same clock, plus the offset stated. NaN
+    beyond its ends, and in rows of the data file that are not kept. Notes are appended to ``notes``. RecordingError if
+    the files do not overlap, or the other one cannot be read.
     """
     path = other.beside(log.path)
     table = read_table(path, other.format, wanted(other.timing, accelerometer.names))

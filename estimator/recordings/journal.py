@@ -146,7 +146,8 @@ def is_sound(entry: Entry) -> bool:
 def _is_column(name: str, column: Any) -> bool:
     """Return whether a value can be rows of a dataset of this name: an array of one to three dimensions, not too wide.
 
-    A name that ``LAYOUT`` describes must have its type and dimensions.
+    A name that ``LAYOUT`` describes must have its dimensions and be of integers, of any size, or if it says so floats,
+    for which integers do as well.
     """
     if not isinstance(column, np.ndarray) or not 1 <= column.ndim <= 3 or not _TYPE.fullmatch(column.dtype.str):
         return False
@@ -160,10 +161,10 @@ def _is_column(name: str, column: Any) -> bool:
 
 
 def _is_attribute(value: Any) -> bool:
-    """Return whether HDF5 can store a value as an attribute: a text, a number, or several of the same kind, or none.
+    """Return whether HDF5 can store a value as an attribute: a text, a number, or a sequence or array of one kind.
 
-    False above ``_MOST_ATTRIBUTE_BYTES`` of numbers, or of references to texts at 16 bytes each, above
-    ``_MOST_TEXT_BYTES`` of text, and for texts with the character 0.
+    A sequence may be empty. False above ``_MOST_ATTRIBUTE_BYTES`` of numbers, or of references to texts at 16 bytes
+    each, above ``_MOST_TEXT_BYTES`` of text, and for texts with the character 0.
     """
     if isinstance(value, np.ndarray):
         return bool(_TYPE.fullmatch(value.dtype.str)) and value.nbytes <= _MOST_ATTRIBUTE_BYTES

@@ -186,6 +186,7 @@ class XsensDevice:
     def _stream(self, at: Floats, index: Ints, rate: Floats) -> bytes:
         """Return the messages of n samples, some dropped or doubled by ``faults``; none for samples with no output due.
 
+        Dropped ones are numbered as well, and a doubled one has the same number twice.
         ``at`` (n,) are the instants in s, ``index`` (n,) the numbers of the samples since power-on, ``rate`` (n, 3) in
         rad/s.
         """

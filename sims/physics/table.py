@@ -76,7 +76,7 @@ class TableModel:
         return self.read[axis](self.clock())[1]
 
     def freeze_readings(self, axis: str, *, angle: bool = True, rate: bool = True, zero: bool = False) -> None:
-        """Freeze the readings of an axis, its angle, its rate or both; the axis itself moves on.
+        """Freeze the readings of an axis for good, its angle, its rate or both; the axis itself moves on.
 
         They stay at the present values, or with ``zero`` at those of home and standstill.
         """

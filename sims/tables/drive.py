@@ -173,8 +173,9 @@ class Drive:
     def _operate(self, word: int, rising: int, halt_changed: int) -> None:
         """Start or change the motion of the present mode: follow the rate, start homing, or start or halt a move.
 
-        ``rising`` are the bits of the controlword that have risen: homing and moves start with bit 4. ``halt_changed``
-        is not 0 if bit 8 has changed. Other modes do nothing.
+        ``rising`` are the bits of the controlword that have risen: homing and moves start with bit 4, by which a set
+        point is also acknowledged until it is cleared. ``halt_changed`` is not 0 if bit 8 has changed. Other modes do
+        nothing.
         """
         mode = self.values["mode"]
         if mode == cia402.MODE_PROFILE_VELOCITY:
