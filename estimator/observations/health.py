@@ -74,7 +74,7 @@ def usable(data: ImuData, *, fine: bool, comparison: ReferenceComparison | None 
 def in_order(data: ImuData) -> tuple[ImuData, list[str]]:
     """Return a source in order of time without spikes and repetitions, and notes on its samples.
 
-    Samples that are not finite stay; a note counts them, as excluded.
+    Samples that are not finite stay; a note for each gyro counts them, as excluded, unless it has no others.
     """
     data = _rows(data, np.argsort(data.t_ns, kind="stable"))
     kept, notes = without_odd("gyro", np.asarray(data.t_ns * 1e-9, dtype=np.float64), data.rate_rps, data.array.names)

@@ -118,7 +118,10 @@ class AcutrolController(LineController):
         return "OK"
 
     def _demand(self, axis: AcutrolAxisTwin, quantity: str, query: bool, given: list[str]) -> str:
-        """Demand the value ``given`` of an axis, or return the present demand if ``query``; AclError for wrong ones."""
+        """Demand the value ``given`` of an axis and return OK, or return the present demand if ``query``.
+
+        AclError unless ``given`` is one number, or empty for a query, and if the axis refuses it.
+        """
         if len(given) != (0 if query else 1):
             raise AclError("Wrong number of arguments")
         if query:
@@ -127,7 +130,7 @@ class AcutrolController(LineController):
         return "OK"
 
     def _limit(self, quantity: str, query: bool, given: list[str]) -> str:
-        """Set a limit of an axis in a mode, or return its value if ``query``.
+        """Set a limit of an axis in a mode and return OK, or return its value if ``query``.
 
         "absolute" always returns six values of an axis, joined by commas: its largest rate, acceleration and jerk, the
         ends of its position, and the rate that trips. ``given`` are the arguments: mode, axis and, to set it, the

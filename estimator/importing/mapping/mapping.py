@@ -328,7 +328,7 @@ def read_timing(section: StrictTable, file_format: FileFormat) -> Timing:
 
 
 def read_gyro(section: StrictTable, file_format: FileFormat) -> GyroColumns:
-    """Return the gyros of a section; its error if their number or axes are invalid.
+    """Return the gyros of a section; its error if anything in it is invalid, such as their number or axes.
 
     Without axes there are three along x, y, z. Without names they are named by their axes if these differ, else
     numbered. Text needs a column for each axis; in other files one name may stand for all.
