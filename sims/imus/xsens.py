@@ -121,6 +121,7 @@ class XsensDevice:
         """Carry out a message of type ``mid`` and answer it; messages that are answers themselves are ignored.
 
         While measuring only Reset and GoToConfig are carried out. Anything else then, and unknown ones, get an Error.
+        What is set is the answer from then on; measuring starts with message 0.
         """
         if mid % 2:
             return  # an answer itself

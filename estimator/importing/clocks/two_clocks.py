@@ -34,8 +34,9 @@ class Clocks:
         return np.asarray(self.middle_s + (stamps_s - self.middle_s - self.ahead_s) / (1 + self.drift))
 
     def told(self, name: str, at_s: float) -> str:
-        """Return in words how fast the clock of the file ``name`` runs, and how far it is ahead at the instant
-        ``at_s``.
+        """Return in words how fast the clock of the file ``name`` runs, and how far it is ahead at ``at_s``.
+
+        The text calls that instant the beginning, and says that this was corrected.
         """
         ahead_s = self.ahead_s + self.drift * (at_s - self.middle_s)
         sd_s = np.hypot(self.ahead_sd_s, self.drift_sd * (at_s - self.middle_s))
