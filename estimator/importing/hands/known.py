@@ -32,9 +32,8 @@ def known_session(
     """Return the calibration from stated poses and turns of all files; ``refused`` are files left out before.
 
     The result lists these, all rests, also refused ones, and the notes of the files, and has no ``gyro``: its
-    ``triads`` are the accelerometers, then the gyros if they are calibrated.
-    Gyros are calibrated only if there are turns and a mapping of gyros. RecordingError for gross errors, and if no rest
-    can be used.
+    ``triads`` are the accelerometers, then the gyros, which are calibrated only if there are turns and a mapping of
+    gyros. RecordingError for gross errors, and if no rest can be used.
     """
     rests: list[KnownRest] = []
     turns: list[KnownTurn] = []
