@@ -49,9 +49,10 @@ def calibrate(
 
     The noise may be coloured (``estimator.estimation.noise_evidence``). Each source's time offset is estimated too,
     except at rest, for turns or poses, and with a model that holds a delay. ``innovations`` also gives the mean NIS,
-    else NaN. A ``model``'s effects are estimated with the states; an empty one counts as none. Without one,
-    ``excluded`` names the catalogue's effects that device and table do not have: the sigmas hold what the others could
-    do unseen; not for None. Defective gyros are left out and listed in the result. Accelerometers are calibrated too.
+    else NaN. A ``model``'s effects are estimated with the states; an empty one counts as none. Without effects of
+    gyros, ``excluded`` names the catalogue's effects that device and table do not have: the sigmas hold what the others
+    could do unseen. None: the sigmas allow for no such effects. Defective gyros are left out and listed in the result.
+    Accelerometers are calibrated too.
 
     Raises RecordingError if a source has no samples the reference covers, no gyro can be estimated, or memory is too
     small; ModelError for a model beside poses, and if the recording lacks what the model needs.
@@ -97,7 +98,9 @@ def calibrate(
 def _gyros_of(
     recording: Recording, devices: Sequence[DeviceEstimate]
 ) -> tuple[list[GyroCalibration], list[GyroParity], list[str]]:
-    """Return the calibrations of the gyros of all devices, their parity checks, and notes on both, device by device."""
+    """Return the calibrations of the gyros of all devices, their parity checks, and notes, device by device: those of
+    the estimate, then on its gyros, but none on parity.
+    """
     gyros: list[GyroCalibration] = []
     checks: list[GyroParity] = []
     notes: list[str] = []
@@ -115,7 +118,8 @@ def _doubts(
     """Return sentences on what no sigma can cover, and all notes that question the sigmas, which include the former.
 
     The former are doubts about the table and changes in mid-run. A table comes first in both: it is doubted where its
-    readings contradict each other, or where samples repeat while it turns.
+    readings contradict each other, or where samples repeat while it turns. The latter also are on readings that are too
+    sparse, on what estimates, scatter and accelerometers leave in doubt.
     """
     of_table: list[str] = []
     if recording.table is not None:
@@ -193,6 +197,7 @@ def _device(
 
     Poses are estimated from gravity, turns without a model under white noise, all others under coloured noise. Where
     there is too little data for coloured noise, white noise is used instead; with a model TooShort is raised.
+    ``excluded`` counts only under coloured noise.
     """
     poses = recording.reference.poses
     if poses is not None:
@@ -305,7 +310,8 @@ def _block_squares(estimates: Sequence[SourceEstimate]) -> tuple[float, int]:
 def _scatter_doubts(estimates: Sequence[SourceEstimate]) -> list[str]:
     """Return a sentence if the block means scatter otherwise than the estimated noise predicts, else an empty list.
 
-    The difference, to either side, must exceed chance and 5 %. Without blocks the list is empty.
+    The difference, to either side, must exceed chance and 5 %. Without blocks, or if they hold what is not finite, the
+    list is empty.
     """
     squares, dof = _block_squares(estimates)
     if not dof or not np.isfinite(squares):

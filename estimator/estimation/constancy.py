@@ -183,7 +183,8 @@ def _columns(run: Run) -> list[dict[Key, Floats]]:
     """Return for each gyro of a run the columns (b,) that ``changes`` tests, by key.
 
     They are the gyro's states and, on a table, for each axis two errors of the axis: turning further than it reads by a
-    share of its way, and by a constant rate.
+    share of its way, and by a constant rate. A key is the text on the change, the factor to the unit that is shown, and
+    this unit.
     """
     states, gimbals = run.state_columns(), run.grid.gimbals
     found: list[dict[Key, Floats]] = []

@@ -39,9 +39,10 @@ class ControlChart:
 def control_chart(values: ArrayLike, counted: Sequence[bool]) -> ControlChart:
     """Return the control chart of values (runs, ...) in the order of time.
 
-    Mean and limits come from the ``counted`` values only, of which there must be two or more: the limits are three
-    sigmas, from the mean step between neighbouring counted values. The moving average (EWMA) starts from the mean and
-    runs over all values, and so do the marks of values outside the limits. A difference within rounding is not outside.
+    Mean and limits come from the ``counted`` values only, of which there must be two or more (unchecked; NaN
+    otherwise): the limits are three sigmas, from the mean step between neighbouring counted values. The moving average
+    (EWMA) starts from the mean and runs over all values, and so do the marks of values outside the limits.
+    ``ewma_limits`` are half widths. A difference within rounding is not outside.
     """
     x = np.asarray(values, float)
     mean = x[counted,].mean(axis=0)

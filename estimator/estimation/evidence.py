@@ -85,7 +85,7 @@ class Evidence:
         shapes: NoiseShapes,
         excess: Mapping[tuple[str, int], Profile] | None = None,
     ) -> None:
-        """Take gyros and noise models; ``excess`` is the noise beyond these, by name of gyro and number of run."""
+        """Take gyros, noise models and the ``excess`` beyond these, by name of gyro and number of run; refresh."""
         self.gyros, self.shapes = list(gyros), shapes
         self.excess = dict(excess or {})
         self.level = np.ones(len(self.gyros))
@@ -103,7 +103,7 @@ class Evidence:
         return Evidence(self.gyros, self.shapes.select(np.arange(len(self.shapes)) == noise), self.excess)
 
     def narrow(self, models: Sequence[Sequence[Term]]) -> None:
-        """Keep noise models that matter beside any of ``models`` or have no walk and hardly any turn-on."""
+        """Keep noise models that matter beside any of ``models`` or have no walk and hardly any turn-on; refresh."""
         keep = (self.shapes.walk == 0) & (self.shapes.turn_on <= _HARDLY)
         for terms in models:
             log = self.by_noise(terms) + self.shapes.log_prior
@@ -137,8 +137,9 @@ class Evidence:
         """Set ``excess`` to what all known terms together leave beyond the noise models, by gyro, run and band.
 
         Every effect is then judged against that rest, which no function of measured values explains. ``rich`` holds all
-        known terms; each gyro fits them by itself. Less noise than the models have is not allowed for. ``misfit``
-        becomes the excess by gyro and run, summed over blocks, in (rad/s)^2, 0 where there is none.
+        known terms; each gyro fits them by itself. What ``settle`` put into ``excess`` is dropped. Less noise than the
+        models have is not allowed for. ``misfit`` becomes the excess by gyro and run, summed over blocks, in (rad/s)^2,
+        0 for none.
         """
         self.excess.clear()
         self.refresh()
@@ -155,9 +156,9 @@ class Evidence:
     def settle(self, terms: Sequence[Term], least: Floats) -> None:
         """Scale the noise to what a model leaves: first the ``level`` (gyros,), then bands that hold more or less.
 
-        ``level`` is a variance relative to that of the gyro's ``arw``; ``least`` (gyros,) is its lower limit, as a
-        density in rad/s sqrt(s). If any ``least`` is above 0, as of turns, only the levels are set: a few rows tell no
-        spectrum.
+        Both replace ``excess``, and the densities are recomputed. ``level`` is a variance relative to that of the
+        gyro's ``arw``; ``least`` (gyros,) is its lower limit, as a density in rad/s sqrt(s). If any ``least`` is above
+        0, as of turns, only the levels are set: a few rows tell no spectrum.
         """
         for level_only in (True, False)[: 1 if least.any() else 2]:
             for n, (gyro, (_, hz, _, squares, freedom)) in enumerate(zip(self.gyros, self._left(terms), strict=True)):
@@ -221,7 +222,8 @@ class Evidence:
     def posterior(self, terms: Sequence[Term], weight: Floats | None = None) -> Posterior:
         """Return the estimate of states and effects, averaged over the noise models that matter.
 
-        ``weight`` is their probability: (G,) for all gyros, (G, gyros) for each; by default that beside these terms.
+        ``weight`` is their probability: (G,) for all gyros, (G, gyros) for each; by default that beside these terms,
+        for all gyros. Columns are the states, terms of each gyro, then shared ones.
         """
         weight = self.noise_weight(terms) if weight is None else weight
         each = np.broadcast_to(weight.reshape(len(weight), -1), (len(weight), len(self.gyros)))
@@ -299,7 +301,8 @@ class Base:
     def products(self, rows: Numbers, columns: Numbers) -> Floats:
         """Return the products of columns that states and own terms leave, (gyros, G, K, r, c).
 
-        ``rows`` (K, r) and ``columns`` (K, c) are column numbers; each set of rows is paired with one of columns.
+        ``rows`` (K, r) and ``columns`` (K, c) are numbers of columns among ``others``, those of shared terms, and z;
+        each set of rows is paired with one of columns.
         """
         across = self._across[..., self._place[rows]].transpose(0, 1, 3, 4, 2)
         gain = self._gain[..., self._place[columns]].transpose(0, 1, 3, 2, 4)
@@ -319,8 +322,8 @@ class Base:
     def with_each(self, terms: Sequence[Term]) -> list[tuple[float, Term]]:
         """Return for each term the log evidence with it, less its ``log_tries``, and the term at its best scale.
 
-        The order is that of ``terms``, whose names must differ. The log evidence is the mean over all scales and noise
-        models. Terms with the same number of columns are computed together.
+        The order is that of ``terms``, whose names must differ. The log evidence is that of all gyros, averaged over
+        all scales and noise models.
         """
         found: dict[str, tuple[float, Term]] = {}
         alike = groupby(sorted(terms, key=_form), key=_form)

@@ -35,7 +35,7 @@ class Gram:
 
     @classmethod
     def of(cls, w_rps: Floats, y_rps: Floats, weight: Floats | None = None) -> "Gram":
-        """Return the products of body rates (rows, 3) and outputs (rows, m), summed in chunks.
+        """Return the products of columns [1, body rates (rows, 3), outputs (rows, m)], summed in chunks.
 
         Each row, with its 1, is multiplied by ``weight`` (rows,) before, if that is given.
         """

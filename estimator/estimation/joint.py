@@ -88,7 +88,8 @@ def estimate_device(
     and table do not have; the others then widen the sigmas. None, or a model, leaves this out. The time offset between
     the reference and each source is estimated with the states, except at rest, for turns, and with a model that holds a
     delay. For the reference of another instrument the covariances allow for errors correlated over 5 s, and ``doubts``
-    say if the halves of the recording disagree; for all others ``spoilt`` says what changed in mid-run.
+    say if the halves of the recording disagree; for all others ``spoilt`` says what changed in mid-run. ``notes`` are
+    on what is unsettled, correlated, late, or grows, and on biases that differ between files.
 
     Raises ModelError for a model that needs what the recording lacks, TooShort for too little data.
     """
@@ -269,7 +270,7 @@ def _hz(known: KnownEffect) -> float | None:
 
 
 def _delay_law(recording: Recording, source: str, taken_off_s: float) -> Law:
-    """Return the law of a source's time offset, of which ``taken_off_s`` was subtracted.
+    """Return the law of a source's time offset, of which ``taken_off_s`` was subtracted; its mean is ``-taken_off_s``.
 
     Its sigma is that of the table's stated timing and of its readings' instants, else the usual one. It has a line of
     the budget only if the table states an uncertainty.

@@ -24,10 +24,11 @@ def calibrate_forces(
 ) -> tuple[tuple[ForceCalibration, ...], list[str]]:
     """Return the calibrations of the accelerometers by source, and notes.
 
-    Calibrated are accelerometers with a data sheet, on a table; those of which too little was recorded are excluded. A
-    source none of whose accelerometers can be calibrated has a result without any, whose doubts give the reasons. The
-    ``effects`` of a model are estimated with the states; ModelError for one that cannot be. Without any accelerometer
-    to estimate them from, a note says so.
+    Calibrated are accelerometers with a data sheet, on a table; those of which too little was recorded are excluded.
+    Doubts name each that is excluded, states that the run did not show, and outputs that stuck or come in coarse steps.
+    A source none of whose accelerometers can be calibrated has a result without any, whose doubts give the reasons. The
+    ``effects`` of a model are estimated with the states; ModelError for one that cannot be. If no source has usable
+    accelerometers, a note says that they are unused. Notes are otherwise those of the examination.
     """
     found: list[ForceCalibration] = []
     notes: list[str] = []
@@ -73,7 +74,8 @@ def usable_forces(recording: Recording) -> list[tuple[str, Checked]]:
     """Return by source what can be used of its accelerometers; empty without a table or a data sheet for them.
 
     A device with a data sheet for accelerometers that sent none of their outputs is in the list once, by its first
-    source, with its accelerometers excluded.
+    source, with its accelerometers excluded. Pairs of source and result are in the order of the recording; one without
+    ``samples`` tells in ``excluded`` why.
     """
     table = recording.table
     if table is None:

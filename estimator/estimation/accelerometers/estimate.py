@@ -63,11 +63,13 @@ def estimate_forces(
     noise: NoiseModel | None = None,
     effects: Sequence[KnownForceEffect] = (),
 ) -> ForceCalibration:
-    """Return the calibration of the accelerometers of a source on a table; ``noise`` is that of their data sheet.
+    """Return the calibration of the accelerometers of a source on a table; ``noise`` is that of their data sheet, None
+    if it states none.
 
     The ``effects`` of a model are estimated with the states, and so are the angles of axes that stand, if the encoders
-    round them. Doubts are outputs in steps that their noise does not average. Raises TooShort for too few samples
-    beside readings of the table, ModelError for an effect that cannot be estimated.
+    round them. ``arm_m`` is the mean of their places; ``excluded`` stays empty. Doubts are outputs in steps that their
+    noise does not average. Raises TooShort for too few samples beside readings of the table, ModelError for an effect
+    that cannot be estimated.
     """
     settled, rest_angle_share = _with_rest_angles(settle(recording, source, samples, noise, effects))
     joint = settled.joint
@@ -140,9 +142,10 @@ def settle(
 ) -> Settled:
     """Return the joint estimate of the accelerometers of a source about the lever arm and the delay that it finds.
 
-    The arm and the delay are subtracted and estimated again until neither changes, at most ``_MOST_STEPS`` times. With
-    ``effects`` the states are those at the mean temperature and in the middle of the run. Raises TooShort for too few
-    samples beside readings of the table, ModelError for an effect that the run cannot show.
+    The arm and the delay are subtracted and estimated again until neither changes, at most ``_MOST_STEPS`` times; the
+    last estimate counts even if they still change. With ``effects`` the states are those at the mean temperature and in
+    the middle of the run. Raises TooShort for too few samples beside readings of the table, ModelError for an effect
+    that the run cannot show.
     """
     gravity_mps2 = gravity_at(recording.site).value_mps2
     arm_m = np.zeros(3)
@@ -238,7 +241,8 @@ def _middle_covariance(joint: Joint, laws: dict[str, int]) -> Floats:
 
 
 def _across(joint: Joint, first: int, second: int) -> Floats:
-    """Return the covariance (c, c) between the parameters of two accelerometers, or of one with itself.
+    """Return the covariance (c, c) between the parameters [states, laws] of two accelerometers, not decoded; that of
+    one for equal numbers.
 
     Two accelerometers have in common what the shared laws leave open, and nothing else.
     """
@@ -255,7 +259,7 @@ def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
     """Return the contributions to the covariance of the states: noise, errors of the table, rounded angles.
 
     The errors of the table count one after the other, each with what those before it leave; those without a law have no
-    line. Covariances are those of the decoded states.
+    line. Laws that have no line count as noise. Covariances are those of the decoded states.
     """
     covariance = joint.covariances[accelerometer]
     lines: list[Contribution] = []
@@ -275,7 +279,7 @@ def _budget(joint: Joint, accelerometer: int) -> tuple[Contribution, ...]:
 
 
 def _covariance(joint: Joint) -> Floats:
-    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers."""
+    """Return the covariance (4 a, 4 a) of the decoded states of all accelerometers, four for each in turn."""
     count = len(joint.means)
     rows = [[_across(joint, i, j)[:4, :4] for j in range(count)] for i in range(count)]
     jacobian = np.zeros((4 * count, 4 * count))

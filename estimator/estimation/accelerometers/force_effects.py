@@ -299,10 +299,11 @@ BY_NAME: Mapping[str, ForceEffect] = {effect.name: effect for effect in EFFECTS}
 
 
 def laws_of_model(known: Sequence[KnownForceEffect], offers: Collection[str]) -> list[Law]:
-    """Return the laws of the effects of a model, for a run that has the data in ``offers``.
+    """Return the laws of the effects of a model, for a run that has the data in ``offers``; their expected sizes are
+    the model's.
 
-    Raises ModelError for an effect that this station does not know, whose parameters differ from the catalogue's, or
-    that the run cannot show.
+    Raises ModelError for an effect that this station does not know, whose parameters, units or mean (0) differ from the
+    catalogue's, or that the run cannot show.
     """
     laws = []
     for one in known:

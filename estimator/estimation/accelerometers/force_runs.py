@@ -55,7 +55,8 @@ class ForceRun(Run):
         return self.samples.prior
 
     def weighed(self, columns: Floats, gyro: int) -> Floats:
-        """Return columns (b, c) times the weights of the blocks, both interpolated over blocks without samples.
+        """Return columns (b, c) times the weights of the blocks, both interpolated over blocks without samples; they
+        are the same for each ``gyro``.
 
         A hole would let the large part of a bias that wanders slowly show at all frequencies, where the noise models
         have only white noise: a bias would seem to be known from the edges of holes.
@@ -79,8 +80,9 @@ def force_run(
 ) -> ForceRun:
     """Return the accelerometers of a source on a table as a run.
 
-    The input is the specific force ``arm_m`` (3,) from where the axes meet, ``delay_s`` before the stamps. Instants
-    with a NaN, or unknown motion, are left out. Blocks less than half full weigh 0. TooShort for too few blocks.
+    The input is the specific force ``arm_m`` (3,) from where the axes meet, ``delay_s`` before the stamps. Outputs are
+    errors: less the force along their axes. Instants with a NaN, or unknown motion, are left out. Blocks less than half
+    full weigh 0. TooShort for too few blocks.
     """
     table, data = recording.table, recording.sources[source]
     assert table is not None, "specific force is computed from the readings of a table"

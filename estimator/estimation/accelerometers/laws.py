@@ -49,6 +49,7 @@ def delay_law(expected_s: float, taken_off_s: float, arm_m: Floats) -> Law:
     """Return the law of the delay of the outputs, of which ``taken_off_s`` was subtracted from the stamps.
 
     ``arm_m`` (3,) is the lever arm, whose centripetal force changes on ramps; ``expected_s`` is the standard deviation.
+    The parameter, common to all accelerometers, is the delay that is left in s: its mean is ``-taken_off_s``.
     """
 
     def columns(conditions: Conditions, axes: Axes) -> Floats:
@@ -112,7 +113,7 @@ def orthogonality_law(gimbals: Sequence[str], expected_rad: float) -> Law:
 
 
 def laws_of_table(gimbals: Sequence[str], *, level_rad: float, orthogonality_rad: float) -> list[Law]:
-    """Return the laws of the errors of a table that tilt gravity, of these expected sizes.
+    """Return the laws of the errors of a table that tilt gravity, of these expected sizes: level, then orthogonality.
 
     That of orthogonality is left out for a table of one axis, and if its size is 0.
     """
@@ -134,9 +135,10 @@ def laws_beside(
 ) -> list[Law]:
     """Return all laws beside the states, about the lever arm (3,) and the delay that were subtracted.
 
-    ``prior`` is the data sheet, ``stated`` the uncertainty of the table, ``delay_sd_s`` what is expected of the delay.
-    Where no level is stated, ``UNSTATED_LEVEL_RAD`` is expected; an orthogonality that is not stated counts as perfect.
-    A stated gravity (of uncertainty 0) has no law.
+    They are lever arm, places apart from it, delay, those of the table, gravity. ``prior`` is the data sheet,
+    ``stated`` the uncertainty of the table, ``delay_sd_s`` what is expected of the delay. Where no level is stated, or
+    0, ``UNSTATED_LEVEL_RAD`` is expected; an orthogonality that is not stated counts as perfect. A stated gravity (of
+    uncertainty 0) has no law.
     """
     level_rad = stated.level_rad if stated is not None and stated.level_rad else UNSTATED_LEVEL_RAD
     return [
@@ -165,7 +167,8 @@ def counted_angles_law(table: TableReadings, counts_rad: Floats) -> Law | None:
     """Return the law of the angles of axes that stand, for counts (g,) of their encoders in rad, infinite if unknown.
 
     Axes are in the order of the table's gimbals. The law has one parameter for each span in which an axis of a known
-    count stands. None if there is no such span.
+    count stands, axis by axis, common to all accelerometers; its standard deviation is the count over the root of 12.
+    None if there is no such span.
     """
     rounded = [place for place, count in enumerate(counts_rad.tolist()) if np.isfinite(count)]
     stands_ns = table.stands_ns

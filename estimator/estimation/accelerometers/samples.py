@@ -47,8 +47,9 @@ def checked(data: ImuData, table: TableReadings) -> Checked:
     """Return the accelerometers of a source, each compared with gravity on the table before anything is estimated.
 
     Excluded, with the reason, are those that are dead or stuck, along another axis than stated, of the wrong sign or in
-    the wrong unit; and all if they are not three and their axes are not stated. Odd samples are left out; single values
-    that are at a limit, stuck or beyond any force become NaN. Notes say so, and doubts what was stuck for a time.
+    the wrong unit; and all if they are not three and their axes are not stated. Samples are put in the order of time,
+    odd ones left out; single values that are at a limit, stuck or beyond any force become NaN. Notes say so, and doubts
+    what was stuck for a time. ``samples`` is None if none is left.
     """
     assert data.accel_mps2 is not None
     assert data.accel_sheet is not None
@@ -111,8 +112,8 @@ def _compared(
     """Return which accelerometers to exclude, bad samples of the others, and which of them stuck for a time.
 
     Excluded are outputs that are constant, missing, or not of the stated axis and unit, compared with the force by the
-    table. Bad samples are flags (n,) by name, at a limit or stuck; sentences by name are on those that stuck. All are
-    empty if no sample is within the readings.
+    table. Bad samples are flags (n,) by name, at a limit or stuck; sentences by name are on those that stuck. An
+    accelerometer that stuck may be excluded, too. All are empty if no sample is within the readings.
     """
     rates = BodyRates.of(table, None)
     t_ns, outputs = samples.t_ns, samples.output_mps2
