@@ -136,10 +136,9 @@ class Evidence:
     def allow_for_misfit(self, rich: Sequence[Term]) -> None:
         """Set ``excess`` to what all known terms together leave beyond the noise models, by gyro, run and band.
 
-        Every effect is then judged against that rest, which no function of measured values explains. ``rich`` holds all
-        known terms; each gyro fits them by itself. What ``settle`` put into ``excess`` is dropped. Less noise than the
-        models have is not allowed for. ``misfit`` becomes the excess by gyro and run, summed over blocks, in (rad/s)^2,
-        0 for none.
+        Every effect is then judged against that rest, which no function of measured values explains. ``rich`` are all
+        terms, fitted by each gyro alone. The former ``excess`` is dropped; less noise than the models have is not
+        allowed for. ``misfit`` becomes the excess by gyro and run, summed over blocks, in (rad/s)^2, 0 for none.
         """
         self.excess.clear()
         self.refresh()
@@ -154,11 +153,10 @@ class Evidence:
         self.refresh()
 
     def settle(self, terms: Sequence[Term], least: Floats) -> None:
-        """Scale the noise to what a model leaves: first the ``level`` (gyros,), then bands that hold more or less.
+        """Scale the noise to what a model leaves: first ``level`` (gyros,), then bands that hold more or less.
 
-        Both replace ``excess``, and the densities are recomputed. ``level`` is a variance relative to that of the
-        gyro's ``arw``; ``least`` (gyros,) is its lower limit, as a density in rad/s sqrt(s). If any ``least`` is above
-        0, as of turns, only the levels are set: a few rows tell no spectrum.
+        Both go to ``excess``. ``level`` is a variance over that of the gyro's ``arw``; ``least`` (gyros,) is its lower
+        limit, as a density in rad/s sqrt(s). If any ``least`` is above 0, as of turns, only levels are set.
         """
         for level_only in (True, False)[: 1 if least.any() else 2]:
             for n, (gyro, (_, hz, _, squares, freedom)) in enumerate(zip(self.gyros, self._left(terms), strict=True)):
@@ -301,8 +299,8 @@ class Base:
     def products(self, rows: Numbers, columns: Numbers) -> Floats:
         """Return the products of columns that states and own terms leave, (gyros, G, K, r, c).
 
-        ``rows`` (K, r) and ``columns`` (K, c) are numbers of columns among ``others``, those of shared terms, and z;
-        each set of rows is paired with one of columns.
+        ``rows`` (K, r) and ``columns`` (K, c) are numbers among ``others``, shared terms and z; sets of rows and
+        columns are paired.
         """
         across = self._across[..., self._place[rows]].transpose(0, 1, 3, 4, 2)
         gain = self._gain[..., self._place[columns]].transpose(0, 1, 3, 2, 4)

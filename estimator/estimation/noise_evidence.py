@@ -156,11 +156,12 @@ def bias_notes(recording: Recording, weight: Floats, turn_on: Floats, arw: float
 
 
 def joint_estimate(runs: Sequence[Run], laws: Sequence[Law] = (), stated: NoiseModel | None = None) -> Joint:
-    """Return the joint estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise.
+    """Return the joint estimate of the gyros of one device, each name once; ``stated`` is its data sheet's noise, which
+    makes noise models near it likelier.
 
-    Shared laws come last in it, whatever their place in ``laws``. Blocks on ramps of the rate weigh less if they leave
-    more than steady rates. Raises TooShort for a run without samples, or a gyro with too few blocks to tell noise by
-    its frequencies.
+    Parameters of laws are deviations from their means, over their expected sigmas; shared laws come last, whatever
+    their place in ``laws``. Blocks on ramps of the rate weigh less if they leave more than steady rates. Raises
+    TooShort for a run without samples, or a gyro with too few blocks to tell noise by its frequencies.
     """
     ordered = sorted(laws, key=lambda law: law.effect.shared)
     columns = [columns_of(run, ordered) for run in runs]
@@ -208,8 +209,8 @@ def settled(
 def run_of_blocks(source: str, data: ImuData, blocks: Blocks, reference: TableReadings) -> Run:
     """Return blocks as a run of one source, without conditions: only the states can be estimated for it.
 
-    ``data`` may hold no samples. Blocks that are missing or less than half full have weight 0; without any block the
-    run is empty.
+    ``data`` may hold no samples. Blocks that are missing or less than half full have weight 0, others less than 1 where
+    the noise grows with the rate; without any block the run is empty.
     """
     b, m = (int(blocks.index[-1]) + 1 if len(blocks.index) else 0), len(data.array)
     w, z, weight = np.zeros((b, 3)), np.zeros((b, m)), np.zeros(b)

@@ -27,7 +27,7 @@ def parity(
     growth_s: float = 0.0,
     sources: Sequence[str] = (),
 ) -> list[GyroParity]:
-    """Return the parity check of each gyro of a device.
+    """Return the parity check of each gyro of a device, in the order of ``arrays``.
 
     ``arrays`` and ``blocks`` are those of its sources, ``states`` (n, 4) and ``noise`` (n) those of all its gyros;
     ``growth_s`` says how the noise grows with the rate (``runs.measured``); ``sources`` (n) names the source of each

@@ -38,7 +38,8 @@ def repeatability(runs: Sequence[Sequence[GyroCalibration]]) -> list[Repeatabili
     """Return how well each gyro repeats over two or more runs of one device; gyros that are not in all runs are left
     out.
 
-    The expected scatter is that of the noise alone (type A): the errors of a table are the same in all runs.
+    The order is that of the first run. The expected scatter is that of the noise alone (type A): the errors of a table
+    are the same in all runs.
     """
     names = [gyro.name for gyro in runs[0] if all(any(g.name == gyro.name for g in run) for run in runs)]
     found = []

@@ -68,7 +68,8 @@ def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEs
     """Return the estimate of a source under white noise: for turns, or for too few samples to tell the kind of noise.
 
     For turns the noise is at least the stated one, and ``noise`` holds None for each gyro; otherwise it is the scatter
-    of the residual. RecordingError for too few turns or rows (``gram_of``).
+    of the residual. There are neither blocks for parity nor a time offset. RecordingError for too few turns or rows
+    (``gram_of``).
     """
     gram, m = gram_of(recording, source, data), len(data.array)
     noise = None
@@ -96,8 +97,8 @@ def estimate_white(recording: Recording, source: str, data: ImuData) -> SourceEs
 def estimate_laid(poses: Poses, sources: Sources) -> DeviceEstimate:
     """Return the estimates of sources whose reference is gravity at rests between turns.
 
-    Each source gets a note on the number of turns, and a doubt if gravity is missed by far more than chance.
-    RecordingError for gyros that do not span space, or gaps between all rests.
+    They have no noise model and no blocks. Each source gets a note on the number of turns, and a doubt if gravity is
+    missed by far more than chance. RecordingError for gyros that do not span space, or gaps between all rests.
     """
     estimates, notes, doubts = list[SourceEstimate](), list[str](), list[str]()
     for source, data in sources:

@@ -108,9 +108,9 @@ class NoiseShapes:
     ) -> "NoiseShapes":
         """Return the noise models that a recording of length ``span_s``, or ``several``, can tell apart.
 
-        ``stated`` is the noise of a data sheet, which makes models near it likelier. Biases differ from recording to
-        recording only with ``several``; ``finely`` takes finer steps for these, for estimates in which they are the
-        noise of the states.
+        ``stated`` is the noise of a data sheet, which makes models near it likelier; one without angle random walk
+        counts as None. Biases differ from recording to recording only with ``several``; ``finely`` takes finer steps
+        for these, for estimates in which they are the noise of the states.
         """
         arw = stated.arw if stated is not None else 0.0
         ratios = (stated.instability / arw, stated.walk / arw) if stated is not None and arw > 0 else (0.0, 0.0)
@@ -244,7 +244,9 @@ class GyroSpectra:
             self.products[numbers, :, bands] = border.transpose(2, 1, 0)
 
     def widen(self, count: int) -> None:
-        """Make room for ``count`` columns, the new ones zero; does nothing if there are as many."""
+        """Replace columns and products by ones with room for ``count`` columns, new ones zero; do nothing if there are
+        as many.
+        """
         old, more = len(self.products), count - self.columns[0].shape[1]
         if more > 0:
             self.columns = [np.pad(own, ((0, 0), (0, more))) for own in self.columns]
@@ -297,7 +299,8 @@ Z = 4
 def gyro_spectra(runs: Sequence[Run], arw: Mapping[str, float] | None = None) -> list[GyroSpectra]:
     """Return the gyros of the runs, with the columns of states and output error over all long enough stretches.
 
-    Gyros of one name in several runs are one; those without such a stretch are left out.
+    Gyros of one name in several runs are one; those without such a stretch are left out. Names come in the order of the
+    runs.
 
     The white noise is the median over the upper half of the spectrum, where ramps and tones are few, and at least the
     stated noise of turns. ``arw`` gives it by name of the gyro instead (rad/s/rtHz), for runs of which much is left

@@ -63,10 +63,10 @@ def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
     """Return the laws of the catalogue, except those excluded, that could act on the states unseen.
 
     Laws whose temperature or pose was not recorded are assumed: a temperature that rises by 10 K, level axes of a body
-    that turns. Where temperature is unknown, the states hold for the mean over the recording, and laws of time stand
-    for what the temperature does to the bias. Left out as well are tones, bias steps between several files, Earth rate
-    beside a stated site or without a table, errors of a table that states its uncertainty, effects of specific force in
-    a single pose, and laws that do not act in these runs.
+    that turns. The runs of the result have the assumed conditions. Where temperature is unknown, the states hold for
+    the mean over the recording, and laws of time stand for what the temperature does to the bias. Left out as well are
+    tones, bias steps between several files, Earth rate beside a stated site or without a table, errors of a table that
+    states its uncertainty, effects of specific force in a single pose, and laws that do not act in these runs.
     """
     offers = frozenset.intersection(*(run.grid.offers for run in runs))
     runs = [replace(run, grid=_completed(run.grid)) for run in runs]

@@ -78,11 +78,10 @@ def force_run(
     gravity_mps2: float,
     block_s: float = BLOCK_S,
 ) -> ForceRun:
-    """Return the accelerometers of a source on a table as a run.
+    """Return the accelerometers of a source on a table as a run; TooShort for too few blocks.
 
-    The input is the specific force ``arm_m`` (3,) from where the axes meet, ``delay_s`` before the stamps. Outputs are
-    errors: less the force along their axes. Instants with a NaN, or unknown motion, are left out. Blocks less than half
-    full weigh 0. TooShort for too few blocks.
+    The input is the specific force ``arm_m`` (3,) from where the axes meet, ``delay_s`` before the stamps; outputs are
+    errors against it. Instants with NaN, or unknown motion, are left out; blocks less than half full weigh 0.
     """
     table, data = recording.table, recording.sources[source]
     assert table is not None, "specific force is computed from the readings of a table"

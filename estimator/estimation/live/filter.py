@@ -69,9 +69,9 @@ class LiveFilter:
     ) -> Innovation:
         """Update the states with finite body rates (rows, 3) and outputs (rows, m) of a block; return its innovation.
 
-        ``further`` (rows, m, columns) are the columns of each gyro beyond its four states. ``wdot_rps2`` (rows, 3) is
-        the derivative of the body rate, by which the time offset shows; None leaves the offset out. ``taken_off_s`` is
-        the offset that the body rates already allow for. The NIS is added to the sums.
+        ``further`` (rows, m, columns) are the columns of each gyro beyond its four states; None leaves these out.
+        ``wdot_rps2`` (rows, 3) is the derivative of the body rate, by which the time offset shows; None leaves the
+        offset out. ``taken_off_s`` is the offset that the body rates already allow for. The NIS is added to the sums.
         """
         z = y_rps - w_rps @ self._array.p.T
         regressors = np.column_stack([np.ones(len(z)), w_rps])

@@ -87,7 +87,9 @@ class ForceProblem:
     def at(self, rates: BodyRates, t_ns: Stamps, about: About) -> ForceColumns:
         """Return the columns at the instants (n,) of samples, in order, linearised ``about`` a delay and an arm.
 
-        The outputs without any error are extrapolated to a delay and an arm of 0, of which the parameters tell.
+        The outputs without any error are extrapolated to a delay and an arm of 0, of which the parameters tell. They
+        are NaN where the motion is not known. Columns are for parameters in units of their expected standard
+        deviations.
         """
         arm_m, count = np.array(about.arm_m), len(self.array)
         earlier_ns = rates.earlier(t_ns, about.delay_s)

@@ -187,9 +187,11 @@ class LiveForces:
             return tuple(self.recent)
 
     def take_history(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return by group ("force_innovation", "force_estimate") the columns kept since the last call, and forget them.
+        """Return by group the columns by name that were kept since the last call, and forget them.
 
-        Empty for fewer than ``fewest`` blocks, which then stay for the next call. A group without rows is left out.
+        "force_innovation" has t_ns, nis, dof, normalised, and "force_estimate" t_ns, states, sd, arm_m, arm_sd_m,
+        delay_s, delay_sd_s: a row for each block. Empty for fewer than ``fewest`` blocks, which then stay for the next
+        call.
         """
         with self.lock:
             if len(self._history["force_innovation"]) < fewest:
@@ -338,7 +340,7 @@ class LiveForces:
                 self.unused_ns[i].append((int(t_ns[start]), int(t_ns[stop - 1])))
 
     def _note_about(self, t_ns: int) -> None:
-        """Note about what the samples up to an instant were linearised."""
+        """Note about what the samples up to an instant were linearised; the last entry grows if that is unchanged."""
         ends_ns, abouts = self.about
         if abouts[-1:] == [self._about]:
             ends_ns[-1] = t_ns
@@ -391,7 +393,8 @@ def _rows(problem: ForceProblem, columns: Floats, z: Floats, usable: Flags) -> _
     """Return the rows of a block of n samples: of each accelerometer its usable ones, by an orthogonal transform.
 
     ``columns`` (n, a, c) are the derivatives of the outputs by the c parameters of an accelerometer, ``z`` (n, a) their
-    deviations, ``usable`` (n, a) which count. The first row of each is that of the mean.
+    deviations, ``usable`` (n, a) which count. The first row of each is that of the mean; one without usable outputs has
+    no rows and count 0.
     """
     outputs, wide, counts = [np.empty(0)], [np.empty((0, len(problem.variances)))], []
     for i, places in enumerate(problem.places):

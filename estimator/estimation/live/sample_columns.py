@@ -30,7 +30,7 @@ class SampleColumns:
     """
 
     def __init__(self, model: ErrorModel, gimbals: Sequence[str], site: Site | None, array: SensorArray) -> None:
-        """Take the effects of a model that can be estimated live.
+        """Take the effects of a model that can be estimated live; ``notes`` name the others, which are left out.
 
         Raises ModelError if the table does not fit the model.
         """
@@ -60,8 +60,8 @@ class SampleColumns:
     def at(self, rates: BodyRates, t_ns: Stamps, temperature_c: Floats) -> tuple[Floats, Floats]:
         """Return the columns (rows, m, p) at instants, and the outputs (rows, m) that the expected effects give.
 
-        Values are NaN where an effect needs the temperature and it is not known. Instants are in order, as for
-        ``BodyRates.at``.
+        Columns are times the expected standard deviations of their parameters. Values are NaN where an effect needs the
+        temperature and it is not known. Instants are in order, as for ``BodyRates.at``.
         """
         # Effects of time count from the first instant of the conditions: the first reading of the table.
         t_s = np.concatenate([[rates.starts_ns * 1e-9], t_ns * 1e-9])
@@ -90,9 +90,9 @@ def white_solution(
     """Return the states of a source on a table, estimated with effects under white noise from all samples at once.
 
     ``columns`` are the effects, None for none; their estimates are not returned. ``noise_rps`` (m,) is that of one
-    sample, ``offset_sd_s`` the expected sigma of the time offset of the samples against the table, 0 for none. The
-    problem is linear about the offsets that were subtracted: ``taken_off`` are instants in ns and the offset in s up to
-    each of them, as ``LiveFilter`` used them. Samples outside the readings or without known rates are left out.
+    sample, ``offset_sd_s`` the expected sigma of their time offset, 0 for none. ``taken_off`` are instants in ns and
+    the offset in s subtracted up to each, as ``LiveFilter`` used them: the problem is linear about these. Samples with
+    NaN, outside the readings, or without a known rate or needed temperature are left out.
     """
     table = recording.table
     assert table is not None, "samples are compared with the readings of a table"

@@ -63,7 +63,10 @@ class History:
         }
 
     def add(self, t_ns: int, offset_s: float, innovation: Innovation) -> None:
-        """Keep the innovation of a block, the instant of its last sample and the time offset used in it."""
+        """Keep the innovation of a block, the instant of its last sample and the time offset used in it.
+
+        ``taken_off`` grows by an entry only if the offset changes.
+        """
         self.recent.append(innovation)
         self.blocks += 1
         ends_ns, offsets_s = self.taken_off
@@ -82,9 +85,11 @@ class History:
         self._kept[group].append(*(np.array([value]) for value in row))
 
     def take(self, fewest: int = 1) -> dict[str, dict[str, Any]]:
-        """Return by group ("innovation", "estimate") the columns kept since the last call, and forget them.
+        """Return by group the columns by name that were kept since the last call, and forget them.
 
-        Empty for fewer than ``fewest`` blocks, which then stay for the next call. A group without rows is left out.
+        "innovation" has t_ns, nis, dof, normalised (rows, gyros) of each block, "estimate" t_ns, states, sd (rows,
+        gyros, 4) of each second. Empty for fewer than ``fewest`` blocks, which then stay for the next call. A group
+        without rows is left out.
         """
         if len(self._kept["innovation"]) < fewest:
             return {}
@@ -221,7 +226,8 @@ class LiveSource:
         """Update filter and history with the samples in ``part``; does nothing if no motion is known at them.
 
         While a ramp shows another time offset than was subtracted, the block is formed again with that offset, at most
-        ``_MOST_STEPS`` times. Every second the states are kept.
+        ``_MOST_STEPS`` times. Every second the states are kept. Sums of blocks are formed, too, if these are to be
+        kept.
         """
         block = self._block(rates, part)
         for _ in range(_MOST_STEPS):
@@ -250,7 +256,8 @@ class LiveSource:
         """Return the arguments of ``LiveFilter.update`` for some samples: rates, outputs, effects, acceleration,
         offset.
 
-        Samples without a known rate, acceleration or temperature are left out; None if none is left.
+        Outputs are less those that the expected effects give. Samples without a known rate, acceleration or needed
+        temperature are left out; None if none is left.
         """
         t_ns, y, further = rates.earlier(self._t[part], self._offset_s), self._y[part], None
         w, wdot = rates.at(t_ns), rates.angular_acceleration_at(t_ns)
@@ -272,6 +279,7 @@ def filter_nis(recording: Recording, model: ErrorModel | None = None) -> float |
     It is that of blocks of ``BLOCK_S``, under the white noise of the data sheet. If the recording keeps the innovations
     of the filter that ran with it, under the same ``model`` of effects, these are used; otherwise the filter is run
     over all samples. NaN if no sample was used. None if the reference is no table, or a source states no noise.
+    ModelError if the table does not fit the model.
     """
     kept = recording.kept_innovations
     if kept is not None and kept.model_sha256 == model_sha256(model):

@@ -39,8 +39,9 @@ class UsableRows:
 
         ``error_mps2`` (n,) are their errors, NaN where not known, ``plausible_mps2`` (n,) their standard deviations by
         the data sheet. Left out are outputs without a number or a known error, stuck ones, and those beyond the data
-        sheet; all of a block in which more than a fifth is beyond, and all from the third such block in a row on. Of
-        outputs that the device repeats as a rule, the first of each run counts. Sets ``reason`` and ``excluded``.
+        sheet; all of a block in which more than a fifth is beyond, and all from the third such block in a row on, for
+        good: ``excluded`` stays set. Of outputs that the device repeats as a rule, the first of each run counts.
+        ``reason`` tells why a block cannot be used, "" if it can.
         """
         numbers = np.isfinite(output_mps2)
         known = np.isfinite(error_mps2)
@@ -63,9 +64,11 @@ class UsableRows:
         return judged & ~beyond & (not (bad or self.excluded))
 
     def _fresh(self, output_mps2: Floats) -> Flags:
-        """Return as flags (n,) the outputs that are not stuck, and no repetitions where the device repeats as a rule.
+        """Return as flags (n,) the finite outputs that are not stuck, and no repetitions where the device repeats as a
+        rule.
 
-        Stuck are those in runs of equal ones that are longer than chance explains.
+        Stuck are those in runs of equal ones that are longer than chance explains. A run may have begun in earlier
+        blocks, and the last one goes on in the next.
         """
         before = np.concatenate([[self._last], output_mps2[:-1]])
         steps = np.abs(output_mps2 - before)

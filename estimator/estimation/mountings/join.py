@@ -68,7 +68,8 @@ def join_mountings(
     """Return the one calibration of a device that was mounted otherwise in each of several recordings on a table.
 
     Misalignments are those in the frame of the gyros. ``excluded`` are for each recording the effects that are ruled
-    out, as for ``calibrate``; with ``innovations`` the mean NIS is computed, over all runs.
+    out, as for ``calibrate``; with ``innovations`` the mean NIS is computed, over all runs. The result also has the
+    error of each mounting. What single runs have (parity, time offsets of gyros, effects, constancy) is left out.
 
     RecordingError for fewer than two recordings, recordings that are not of one device or not on a table, a device that
     has other axes in one of them, or one without a sensor that can be estimated.
@@ -259,8 +260,8 @@ def _forces(
 ) -> tuple[ForceCalibration, ...]:
     """Return the calibrations of the accelerometers by source; places differ between mountings and become NaN.
 
-    Gravity is NaN if the runs were made at places of several. Excluded are accelerometers that any run could not
-    estimate, even where others could.
+    Time offsets are averaged; doubts stay empty. Gravity is NaN if the runs were made at places of several. Excluded
+    are accelerometers that any run could not estimate, even where others could.
     """
     calibrations = []
     for source in dict.fromkeys(forces.source for run in runs for forces in run.forces):
@@ -375,7 +376,7 @@ def _doubts(runs: Sequence[_Run], joined: JoinedStates) -> list[str]:
 def _by_text(of_runs: Sequence[tuple[str, str]]) -> list[str]:
     """Return what is said of runs, pairs of run and text, each reason once with all runs and sensors it applies to.
 
-    Of sensors that are not calibrated, each text names one.
+    A sentence begins with the names of its runs. Of sensors that are not calibrated, each text names one.
     """
     runs: dict[str, list[str]] = {}
     for run, text in of_runs:

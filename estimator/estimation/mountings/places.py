@@ -24,7 +24,8 @@ class Places:
 def places_of(sites: Sequence[Site | None]) -> Places:
     """Return the places of runs: the errors of gravity at one place are one error.
 
-    Sites are one place if their gravity has the same source, and differs by no more than its standard uncertainty.
+    The first site of a place stands for it; ``of_run`` has the number of each run's place. Sites are one place if their
+    gravity has the same source, and differs by no more than its standard uncertainty.
     """
     gravity: list[Gravity] = []
     of_run: list[int] = []

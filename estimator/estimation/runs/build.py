@@ -37,9 +37,10 @@ _TURN_STEPS = 125  # instants within a turn, or a rest
 def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> tuple[list[Run], list[str], list[Fault]]:
     """Return the sources of a recording as runs, notes on what was left out, and faults of the data.
 
-    Blocks last ``block_s``, longer in long recordings. A source gives several runs where faulty samples divide it; runs
-    with too few blocks are left out. ``order`` is the number of the recording among all. If two sources have gyros of
-    the same name, all names get that of their source in front. Values held over several samples are faults, too.
+    Blocks last ``block_s``, longer in long recordings. A source gives several runs where faulty samples divide it,
+    named "SOURCE (2)" and so on from the second on; runs with too few blocks are left out. ``order`` is the number of
+    the recording among all. If two sources have gyros of the same name, all names get that of their source in front.
+    Values held over several samples are faults, too.
 
     Raises InvestigationError if the reference is gravity, or no run is left.
     """
@@ -202,7 +203,7 @@ def _unknown_earth(run: Run) -> dict[str, Any]:
 
 
 def _run_of_turns(recording: Recording, turns: Turns, source: str, data: ImuData, order: int) -> Run | None:
-    """Return turns and rests as a run with one block each, None for fewer than ``FEWEST_TURNS``.
+    """Return turns and rests as a run with one block each, None for fewer than ``FEWEST_TURNS`` with samples.
 
     The rate within a turn is that of the gyros, with the mean that the reference states. Turns, not rests, weigh less
     if they scatter more than stated.
