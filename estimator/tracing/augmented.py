@@ -125,7 +125,8 @@ class Augmented:
         """Return the columns (b, c) over b blocks of the c [states, effects] of a gyro of a run; ``gyro`` is its number
         there.
 
-        ``number`` is the run's place among the fitted runs; a run that was not fitted has a number past the last.
+        Effects are at the largest sizes of their parameters. ``number`` is the run's place among the fitted runs; a run
+        that was not fitted has a number past the last.
         """
         columns = [run.state_columns()[gyro]]
         for part in self.parts:

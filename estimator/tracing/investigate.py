@@ -61,8 +61,8 @@ def investigate(
     The errors are those on ``verification``; without it they are in-sample, cross-validated by step. ``most_effects``
     limits the number of effects added; ``progress`` is called with the share done and a word for the step.
 
-    Raises InvestigationError if the recordings are not of the same gyros, hold too little, or if only one of recordings
-    and verification is at rest; RecordingError if memory does not suffice.
+    Raises InvestigationError if the recordings are not of the same gyros, are compared with gravity, hold too little,
+    or if only one of recordings and verification is at rest; RecordingError if memory does not suffice.
     """
     tell = progress or (lambda share, what: None)
     tell(0.0, "reading")
@@ -102,7 +102,8 @@ def _check_same_gyros(
 def _prepared(columns: Sequence[RunColumns]) -> tuple[Search, dict[str, str]]:
     """Return a search over all candidates on some runs, and by name the effects that cannot be tried, with the reason.
 
-    Among these are effects that the motion does not excite, which are removed from the search.
+    Among these are effects that the motion does not excite, which are removed from the search. General dependences are
+    removed without a reason.
     """
     runs = [one.run for one in columns]
     span_s = max(float(run.t_s[-1] - run.t_s[0]) + run.length_s for run in runs)
@@ -264,8 +265,8 @@ def _borne_out(
     errors.
 
     First each effect is confirmed or taken back. Then, as long as all together do not lower the error on the
-    verification runs ``held_back``, the least probable is taken back, composed laws before named effects. ``weight``
-    (G,) are the probabilities of the noise models.
+    verification runs ``held_back``, the least probable is taken back, composed laws before named effects. Names taken
+    back are in the result. ``weight`` (G,) are the probabilities of the noise models.
     """
     certain, taken_back = confirmed(search, certain, held_back)
     before = Augmented.of(search.evidence, [], weight)
@@ -322,9 +323,9 @@ def _visible(search: Search, found: Found) -> list[Part]:
     """Return the effects found that differ from zero by more than three sigmas, with less probability where in doubt.
 
     Effects that only together, over their numbers, differ from zero are kept with a probability of at most one half and
-    themselves as a rival; laws of several terms are judged together in any case. Where all runs rest, an effect is a
-    rival of each other one that could give the same outputs, since in a few poses a good fit is no proof. All others
-    are left out.
+    themselves as a rival (and Earth rate, if that could give the same); laws of several terms are judged together in
+    any case. Where all runs rest, an effect is a rival of each other one that could give the same outputs, since in a
+    few poses a good fit is no proof. All others are left out.
     """
     model = Augmented.of(search.evidence, found.parts)
     seen = []

@@ -74,7 +74,8 @@ def unnamed(search: Search) -> list[Term]:
 def functions_of(search: Search) -> tuple[Columns, Floats]:
     """Return columns (c,) that stand for any function of measured values, and factors (c,) that give each 1 rad/s rms.
 
-    They are those of the candidates of a search. Columns that do not vary are left out.
+    They are those of the candidates of a search, but laws and candidates whose nonlinear parameter (other than a size)
+    is searched for. Columns that do not vary are left out.
     """
     plain = [term for candidate, term in search.known.values() if not _one_of_many(candidate)]
     columns = np.array([c for term in plain for c in term.columns], dtype=np.intp)

@@ -61,7 +61,8 @@ class Search:
         self._narrowed = False
 
     def add(self, candidates: Sequence[Candidate]) -> None:
-        """Add candidates and compute their columns for every gyro; does nothing without candidates.
+        """Add candidates and compute their columns for every gyro; those of known names are replaced. Does nothing
+        without candidates.
 
         The first call also limits the noise models to those that matter.
         """
@@ -302,7 +303,7 @@ class Search:
         """Return an effect of a model with its probability and its rivals, computed beside the model's other effects.
 
         ``chosen`` are the names of all effects of the model, ``terms`` theirs. Rivals are as many as share 99 % of the
-        probability, most probable first, the effect itself among them.
+        probability, most probable first; they may hold the effect itself, and "nothing" for no effect.
         """
         others = [other for other in chosen if other != name]
         kept = [terms[other] for other in others]

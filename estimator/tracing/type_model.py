@@ -18,9 +18,10 @@ _SAME = 0.05  # share by which errors caused by table, site or clock may differ 
 def error_model_of(found: Augmented) -> ErrorModel:
     """Return the error model of a device type that the estimate of one device gives.
 
-    Effects that each gyro has to itself get mean zero and 1.5 times the rms over the gyros, since the next gyros have
-    other signs. Effects that all gyros share get the estimate, with 1.5 times its sigma and 5 %. Effects not in the
-    catalogue, or not kept in a model, are left out with a reason. Of two of the same name the larger one stays.
+    Effects that each gyro has to itself get mean zero and 1.5 times the rms over the gyros (their sigmas included),
+    since the next gyros have other signs. Effects that all gyros share get the estimate, with 1.5 times its sigma and a
+    twentieth of its size. Effects not in the catalogue, or not kept in a model, are left out with a reason. Of two of
+    the same name the larger one stays.
     """
     effects: dict[str, KnownEffect] = {}
     left_out = {}
@@ -42,7 +43,8 @@ def error_model_of(found: Augmented) -> ErrorModel:
 def force_effects_of(findings: Sequence[ForceFinding]) -> tuple[KnownForceEffect, ...]:
     """Return the effects that were added to accelerometers, as the next device of the type is expected to have them.
 
-    Their size is 1.5 times the rms over the accelerometers of all sources, as the next ones have other signs.
+    Their size is 1.5 times the rms over the accelerometers of all sources (their sigmas included), as the next ones
+    have other signs.
     """
     every: dict[str, list[tuple[ForceFinding, FoundEffect]]] = {}
     for finding in findings:
@@ -52,7 +54,9 @@ def force_effects_of(findings: Sequence[ForceFinding]) -> tuple[KnownForceEffect
 
 
 def _known_force_effect(name: str, found: Sequence[tuple[ForceFinding, FoundEffect]]) -> KnownForceEffect:
-    """Return an effect of accelerometers with its expected size, and the values found by accelerometer."""
+    """Return an effect of accelerometers with its expected size, and the values found by "SOURCE NAME" of the
+    accelerometer: value and sigma of each parameter.
+    """
     effect = found[0][1].effect
     squares = np.concatenate([one.values**2 + one.sd**2 for _, one in found])
     sd = _NEXT * np.sqrt(squares.mean(axis=0))
@@ -71,7 +75,8 @@ def _known_force_effect(name: str, found: Sequence[tuple[ForceFinding, FoundEffe
 def _known_effect(found: Augmented, part: Part) -> KnownEffect:
     """Return an effect of the estimate ``found`` with its expected sizes, its settings and the values found by gyro.
 
-    If all gyros share it, it is expected as estimated; else with mean zero and the rms over gyros.
+    If all gyros share it, it is expected as estimated; else with mean zero and the rms over gyros. Values are pairs of
+    value and sigma, by gyro or "all gyros"; of a tone in each run only those of the first.
     """
     effect, p = part.candidate.effect, len(part.candidate.effect.parameters)
     where = found.slice_of(part.candidate.name)

@@ -156,8 +156,8 @@ def beyond_noise(search: Search, found: Found) -> Unexplained | None:
 def faults_added(faults: Sequence[Fault]) -> list[Added]:
     """Return faults of the data as effects of probability 1, one for each kind, with the gyros and values that show it.
 
-    Values of further faults of a gyro have a number, from "(2)" on. Held samples are left out: they are searched for as
-    an effect.
+    A value is named "GYRO NAME"; those of further faults of a gyro have a number, from "(2)" on. Held samples are left
+    out: they are searched for as an effect.
     """
     found = []
     for kind in dict.fromkeys(fault.kind for fault in faults if fault.kind != SAMPLE_HOLD.name):
@@ -177,8 +177,9 @@ def faults_added(faults: Sequence[Fault]) -> list[Added]:
 def added_of(search: Search, found: Found, part: Part, model: Augmented, told: OutOfSample | None) -> Added:
     """Return an effect of the last model with its numbers; ``told`` is what data left out of the fit say of it.
 
-    Numbers are those of the gyros that show it, of all if none does; shared ones are given once. A tone has its
-    frequency, a nonlinear effect its setting.
+    Numbers are of all gyros as "GYRO PARAMETER", shared ones once as "PARAMETER", with " in run 2" and so on for a tone
+    that is not locked. A tone has its "frequency", a nonlinear effect its setting. ``gyros`` are those that show it,
+    all if none does. A composed law is named in words.
     """
     where = model.slice_of(part.candidate.name)
     candidate, shared = part.candidate, part.term.shared

@@ -97,8 +97,8 @@ class _Fitted:
 def trace_forces(fitted: Sequence[Recording], judging: Sequence[Recording] = ()) -> list[ForceFinding]:
     """Return what the accelerometers of each source lack, by runs on a table that are fitted and runs that verify.
 
-    A source is looked at if it states a data sheet for its accelerometers. Nothing without such sources. Recordings
-    that are too short for accelerometers are left out.
+    A source is looked at if it states a data sheet for its accelerometers and a fitted run has samples that can be
+    used; an empty list without such sources. Recordings that are too short are named with the reason in ``left_out``.
     """
     usable = [_usable(recording) for recording in (*fitted, *judging)]
     sources = dict.fromkeys(source for own in usable[: len(fitted)] for source in own)
@@ -112,7 +112,8 @@ def trace_forces(fitted: Sequence[Recording], judging: Sequence[Recording] = ())
 
 
 def effect_sigmas(recording: Recording, source: str) -> dict[str, Floats]:
-    """Return by named effect the standard deviations (p,) of its parameters in a recording, each effect alone.
+    """Return by name of effect the standard deviations (p,) of its parameters, in its unit, in a recording, each effect
+    alone.
 
     They are rms over the accelerometers of the source; those of effects that need what was not measured are missing.
     Empty if no accelerometer of it can be used; TooShort for too few samples.
@@ -140,8 +141,8 @@ def _trace(
 
     ``samples`` are by the number of the recording, those that verify after those that are fitted. Only accelerometers
     that can be used in all of them count. At most ``_MOST`` effects are added, the most probable first, while one is
-    certain; recordings that are too short are left out with the reason. If all fitted ones are, the finding has no
-    accelerometers.
+    certain. If something is missing but no effect is certain, the likely ones are ``suspects``. Recordings that are too
+    short are left out with the reason. If all fitted ones are, the finding has no accelerometers.
     """
     names = _common_names(list(samples.values()))
     chosen = {place: _only(own, names) for place, own in samples.items()} if names else {}
@@ -259,8 +260,9 @@ def _judged(
 ) -> ForceFinding:
     """Return the finding, without those effects that make the verification runs worse.
 
-    Effects are dropped, the last added first, until the squared errors are no larger than without any. ``found`` has by
-    effect its probability and its rivals. Without ``checks`` the fitted runs are judged.
+    Effects are dropped, the last added first, until the squared errors are no larger than without any. They are named
+    in ``dropped``. ``found`` has by effect its probability and its rivals. Without ``checks`` the fitted runs are
+    judged.
     """
     kept = list(added)
     dropped: list[str] = []
@@ -361,7 +363,9 @@ def _errors(
 
 
 def _together(joints: Sequence[Joint]) -> Joint:
-    """Return the first of some estimates of the same parameters, its means combined with the others by covariances."""
+    """Return the first of some estimates of the same parameters, its means combined with the others by covariances; its
+    own covariances stay.
+    """
     if len(joints) == 1:
         return joints[0]
     means = []

@@ -15,9 +15,9 @@ def with_alike_laws(search: Search, parts: Sequence[Part], held_back: Sequence[R
     """Return the parts, with the share of each law in doubt raised by those of rival laws that predict the same.
 
     A law without a name says no more than what it predicts. Two predict the same if their predictions of the runs
-    ``held_back`` differ by less than the error that the covariance of one lets expect. Such rivals are no rivals any
-    more. Effects with names, tones, and laws that are certain among their rivals stay as they are; so does everything
-    without runs held back.
+    ``held_back`` differ by less than the error that the covariance of one lets expect. Such rivals are listed in
+    ``alike`` and are no rivals any more; the probability grows as the share does. Effects with names, tones, and laws
+    that are certain among their rivals stay as they are; so does everything without runs held back.
     """
     if not held_back:
         return list(parts)

@@ -64,7 +64,8 @@ def averaged(
 
     Alternatives are rivals of the effects ``parts`` and effects without a name, whose probability is in ``opened``;
     improbable ones are left out. ``after`` is the model of the gyros' errors. ``between`` (4,) is the standard
-    deviation of the states between runs, which the sigmas include.
+    deviation of the states between runs, which the sigmas include. Only states after, their sigmas and ``moved``
+    change. Tones are no alternatives.
     """
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in _alternatives(search, parts)]
@@ -95,8 +96,8 @@ def beside_suspect(gyros: Sequence[GyroErrors], with_it: Augmented) -> tuple[Gyr
     """Return the errors of ``gyros`` with states that are the mean of the model's and those of ``with_it``, with a
     suspect.
 
-    Both are equally probable; the sigmas cover both. It applies if the verification run shows an error that the other
-    recordings cannot.
+    Both are equally probable; the sigmas cover both, and ``moved`` changes with the states. It applies if the
+    verification run shows an error that the other recordings cannot.
     """
     known = []
     for gyro in gyros:

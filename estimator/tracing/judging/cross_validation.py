@@ -66,8 +66,8 @@ def together(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> tupl
 
 
 def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) -> dict[str, OutOfSample]:
-    """Return by effect of a model what data left out of the fit say of it, beside the other effects; tones are left
-    out.
+    """Return by candidate name of each effect of a model what data left out of the fit say of it, beside the other
+    effects; tones are left out.
 
     Whole recordings are left out one at a time if there are several (else that result is None), then stretches of some
     steps; between stretches a bias may wander. The data left out are predicted from the rest, with and without the
@@ -89,7 +89,8 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
 
 
 def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> tuple[list[Part], list[str]]:
-    """Return the effects that the verification run confirms, and the names of those that it does not.
+    """Return the effects that the verification run confirms, and the names of those that it does not, in the order of
+    removal.
 
     An effect must make the runs ``held_back`` more probable and lower their squared residual. The least confirmed
     effect is removed first, and the others are judged again. Without such runs all are confirmed at once if they lower
@@ -152,7 +153,8 @@ def judged(
     """Return the errors of two models on the verification runs; without these, cross-validated by step.
 
     ``held_back`` are the runs of ``verification``; with tones in the last model they are formed again with blocks short
-    enough for them. The share of draws in which the error is larger than expected is returned for models with effects.
+    enough for them. On verification runs a model with effects also has ``understated``, and one with laws ``formless``:
+    the shares of draws in which the error is larger than expected.
     """
     all_runs = [*search.runs, *held_back]
     evidence, terms = together(all_runs, after, search.evidence.shapes)

@@ -137,7 +137,8 @@ def _rows_of(stretches: Sequence[_Stretch]) -> list[NDArray[np.intp]]:
 
 
 def _stretches(runs: Sequence[Run], model: Augmented, names: Sequence[str]) -> list[_Stretch]:
-    """Return the first stretches in which all of some gyros measure, without their means.
+    """Return the first stretches in which all of some gyros measure, without their means; those in which the columns of
+    the model could give anything are left out.
 
     A straight line and a parabola are directions in each: where a bias ends elsewhere than it began, its coefficients
     would depend on each other.

@@ -190,8 +190,9 @@ def judge(
 ) -> Judged:
     """Return the errors of two models on runs, of which the first has number ``first`` among all.
 
-    ``errors`` are the drawn errors of the whole runs by gyro; ``held_back`` is noted. Gyros that the model does not
-    have are left out; without effects the improvement is None.
+    ``errors`` are the drawn errors of the whole runs by gyro; ``held_back`` is noted. There is a view for each run and
+    gyro. Gyros that the model does not have are left out, in ``gyros`` also those without phases; without effects the
+    improvement is None.
     """
     found: dict[str, list[_Phase]] = {name: [] for name in after.names}
     views = []

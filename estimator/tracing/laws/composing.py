@@ -186,7 +186,8 @@ class Composer:
 
         A law may stand beside the effects found or replace some of them; at most ``most`` effects remain in all, two of
         them laws. Terms of laws that do not pay for themselves are removed, and so are effects that "nothing" replaces
-        as well. Tones stay. Where no law comes near, the result is ``found`` itself.
+        as well. Tones stay. ``log_evidence`` grows by one value. Where no law comes near, the result is ``found``
+        itself.
         """
         search = self._search
         named = [part for part in found.parts if part.tone is None]
