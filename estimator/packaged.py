@@ -13,7 +13,7 @@ def packaged_toml(package: str, name: str) -> dict[str, Any]:
 
 
 def sentence(key: str, /, **values: object) -> str:
-    """Return the sentence of a name, "table.name", its fields filled in by ``values``.
+    """Return the sentence of a name, "table.name", its fields filled in by ``values``; others are ignored.
 
     KeyError for an unknown name, or a field without a value.
     """

@@ -18,7 +18,7 @@ _SHOWN = np.array([1e6, np.degrees(3600), np.degrees(3600), np.degrees(3600)])
 def plot_rates(recording: Recording, axes: "Axes | None" = None) -> "Axes":
     """Draw the outputs of all gyros over time, in deg/s; return the axes, new ones by default.
 
-    Time is in seconds since the first sample of all sources.
+    Time is in seconds since the first sample of all sources. The title is the recording's name; a legend names gyros.
     """
     axes = _axes(axes)
     start_ns = min(data.t_ns[0] for data in recording.sources.values())
@@ -32,7 +32,8 @@ def plot_rates(recording: Recording, axes: "Axes | None" = None) -> "Axes":
 def plot_states(calibration: Calibration, state: int = 0, axes: "Axes | None" = None) -> "Axes":
     """Draw one state of every gyro with its 95 % interval; return the axes, new ones by default.
 
-    ``state`` is 0 to 3 for k in ppm, b in deg/h, sigma_j and sigma_k in arcsec.
+    ``state`` is 0 to 3 for k in ppm, b in deg/h, sigma_j and sigma_k in arcsec. Gyros stand side by side by name; there
+    is no title.
     """
     axes = _axes(axes)
     values = [gyro.states[state] * _SHOWN[state] for gyro in calibration.gyros]
@@ -43,8 +44,9 @@ def plot_states(calibration: Calibration, state: int = 0, axes: "Axes | None" = 
 
 
 def plot_errors(investigation: Investigation, axes: "Axes | None" = None) -> "Axes":
-    """Draw the rms error of every gyro's compensated rate before and after an investigation, in deg/h; return the
-    axes.
+    """Draw the rms error of every gyro's compensated rate before and after an investigation, in deg/h, as bars.
+
+    The title is the reason of the verdict; a legend names the bars. Return the axes, new ones by default.
     """
     axes = _axes(axes)
     at = np.arange(len(investigation.gyros))

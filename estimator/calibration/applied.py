@@ -22,9 +22,9 @@ def applied(
     """Return the body rate (N, 3) in rad/s, corrected for states and effects.
 
     ``outputs_rps`` (N, n) are the outputs of the gyros, as an array or as a frame with columns by their names; a frame
-    gives a frame. ``t_s``, ``temperature_c`` (N,) and ``accel_mps2`` (N, 3) are None if not known. CompensationError
-    for missing columns, another shape, lengths that differ, data that an effect needs and that are not known, or gyros
-    that do not span space.
+    gives a frame (x_rps, y_rps, z_rps) with its index. Rates may be NaN (``compensate``). ``t_s``, ``temperature_c``
+    (N,) and ``accel_mps2`` (N, 3) are None if not known. CompensationError for missing columns, another shape, lengths
+    that differ, data that an effect needs and that are not known, or gyros that do not span space.
     """
     names = compensation.array.names
     is_frame = hasattr(outputs_rps, "columns")

@@ -81,7 +81,8 @@ def rest_angle_covariances(
     """Return the covariances (m, 4, 4) of the states that come of axes which stand off their readings.
 
     ``sd_rad`` (g,) is the standard deviation of the angle at which an axis stands, the same until it moves again; 0 or
-    infinite for axes whose readings are not rounded. ``arw_rps_rthz`` (m,) is as in ``table_budget``.
+    infinite for axes whose readings are not rounded. ``arw_rps_rthz`` (m,) is as in ``table_budget``. They are 0 for
+    fewer than eight readings.
     """
     covariances = np.zeros((len(array), 4, 4))
     if len(readings.t_ns) >= _FEWEST:

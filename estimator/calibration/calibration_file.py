@@ -30,16 +30,17 @@ from estimator.types import Floats
 
 
 def write_calibration(path: Path, calibration: Calibration, attributes: dict[str, object] | None = None) -> None:
-    """Write /calibration, anew: names, sources, states (n, 4), sd (n, 4), covariance (n, 4, 4), noise of a sample (n,).
+    """Write the group /calibration of a file anew: datasets by gyro, attributes, and ``attributes`` added to these.
 
-    With ``noise`` (n, 3) if known for all gyros, its upper 95 % limits (n, 2), and ``budget`` (n, contributions, 4), if
-    all gyros have the same: standard uncertainties that add in squares to ``sd``. With ``rest`` of all gyros, Allan
-    deviations ``allan_deviation_rps`` (n, t) at ``allan_tau_s`` (n, t), NaN beyond the last, its 95 % interval from
-    ``allan_low_rps`` to ``allan_high_rps``, and N, B and K in ``rest_noise`` (n, 3) with their intervals from
-    ``rest_noise_low`` to ``rest_noise_high``, the lower end 0 if not seen. With an error model its effects, ``effects``
-    (n, e) and ``effects_sd`` (n, e) in SI units, named by the attributes ``effect_names`` and ``effect_units``;
-    ``model`` is the text of that model. ``accelerometers`` is their calibration as JSON (``force_text``), if there is
-    any. ``attributes`` are added to the group.
+    Always there are ``name``, ``source``, ``states`` and ``sd`` (n, 4), ``covariance`` (n, 4, 4) and ``noise_rps``
+    (n,). If known for all gyros: ``noise`` (n, 3) with upper 95 % limits ``noise_below`` (n, 2); noise at rest and
+    Allan deviations (``_rest_datasets``); ``budget`` (n, contributions, 4), standard uncertainties that add in squares
+    to ``sd``, if all have the same lines. With an error model ``effects`` and ``effects_sd`` (n, e) in SI units, named
+    by attributes. ``accelerometers`` is the JSON of their calibration (``force_text``), if there is any.
+
+    Attributes are the names of states, noise, budget and effects, ``model``, ``excluded``, ``nis_mean``, ``samples``,
+    ``lost``, ``notes``, ``doubts``, ``holds_for`` and ``constancy``. Parity, time offsets, ``spoilt`` and undeclared
+    effects are not written.
     """
     gyros = calibration.gyros
     found = [g.noise for g in gyros if g.noise is not None]
@@ -90,9 +91,10 @@ def write_calibration(path: Path, calibration: Calibration, attributes: dict[str
 
 
 def _rest_datasets(rests: Sequence[SensorNoise]) -> dict[str, NDArray[np.float64]]:
-    """Return the datasets of the noise at rest by name: N, B and K with their intervals, (n, 3), and curves (n, t).
+    """Return the datasets of the noise at rest by name: N, B, K with their 95 % intervals, (n, 3), and curves (n, t).
 
-    Curves, Allan deviations with their intervals, are NaN beyond their last averaging time.
+    The former are ``rest_noise`` and, with "_low" (0 if not seen) and "_high", its ends. Curves are ``allan_tau_s``,
+    ``allan_deviation_rps``, ``allan_low_rps`` and ``allan_high_rps``, NaN beyond their last averaging time.
     """
     longest = max(len(rest.curve.tau_s) for rest in rests)
     columns = {"tau_s": "tau_s", "deviation_rps": "deviation", "low_rps": "low", "high_rps": "high"}

@@ -112,7 +112,8 @@ class Calibration:
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset over gyro and state, in SI units. Needs xarray.
 
-        ``value`` and ``sd`` (gyro, state), ``covariance`` (gyro, state, other_state), ``noise_rps`` (gyro).
+        ``value`` and ``sd`` (gyro, state), ``covariance`` (gyro, state, other_state), ``noise_rps`` (gyro). ``device``
+        and ``unit`` are further coordinates; attributes are nis_mean, samples, lost and holds_for.
         """
         from xarray import Dataset
 
@@ -135,7 +136,9 @@ class Calibration:
         )
 
     def to_frame(self) -> Any:
-        """Return a pandas.DataFrame with a row a gyro: its device, states and sigmas, in SI. Needs pandas."""
+        """Return a pandas.DataFrame with a row a gyro, by its name: device, states, and sigmas as "sd_STATE", in SI.
+        Needs pandas.
+        """
         from pandas import DataFrame
 
         columns = [*STATES, *(f"sd_{state}" for state in STATES)]

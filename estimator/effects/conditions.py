@@ -133,8 +133,8 @@ class Conditions:
         """Return the conditions of a body that g gimbals move: at instants (N,) in s, angles, rates, accelerations (N,
         g).
 
-        ``gimbals`` are named outermost first. Without a ``site`` Earth rate is left out; ``temperature_c`` is (N,).
-        RecordingError for unknown gimbals.
+        ``gimbals`` are named outermost first. The specific force is standard gravity, without accelerations. Without a
+        ``site`` Earth rate is left out; ``temperature_c`` is (N,). RecordingError for unknown gimbals.
         """
         names = check_gimbals(gimbals)
         return cls(

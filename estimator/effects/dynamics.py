@@ -12,7 +12,7 @@ _LAGUERRE = np.polynomial.laguerre.laggauss(4)
 
 
 def _delay_column(settings: Settings, conditions: Conditions, axes: Axes) -> Floats:
-    """Return the column (N,) of a delay: p . (w that long before - w), per second of the delay.
+    """Return the column (N,) of a delay: p . (w that long before - w), per second of its size.
 
     It is exact for the setting ``delay_s`` (s). If that is 0, or the rate before is unknown, it is the limit -p . wdot.
     """

@@ -126,7 +126,7 @@ def axis_text(direction: Floats | Sequence[float], near: float = 1 - 1e-6) -> st
     """Return a direction (3,) of any length above 0 in the notation of a mapping file.
 
     It is ``"-z"``, with the quotes, if the cosine to an axis exceeds ``near``; else the three numbers of the unit
-    vector in brackets.
+    vector in brackets, to six digits, or two if ``near`` is below 0.999.
     """
     v = np.asarray(direction, dtype=np.float64)
     v = v / np.linalg.norm(v)

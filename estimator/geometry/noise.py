@@ -49,8 +49,9 @@ class MeansCovariance:
 
     @classmethod
     def of(cls, t_s: Floats, length_s: float, held_s: Floats) -> Self:
-        """Return the covariance for blocks of ``length_s`` centred at ``t_s`` (B,), with samples over ``held_s``
-        (B,).
+        """Return the covariance for blocks of ``length_s`` centred at ``t_s`` (B,), with samples over ``held_s`` (B,).
+
+        It is kept in three parts of unit noise, white, flicker and walk, which ``under`` puts together.
         """
         lag = np.abs(t_s[:, None] - t_s[None, :])
         same = np.eye(len(t_s), dtype=bool)

@@ -51,8 +51,8 @@ def modelled(p: Floats, t_s: Floats, window_s: float = 0.0) -> tuple[Floats, Flo
 def _slopes(corners: Floats, rates: Floats, t_s: Floats) -> tuple[Floats, Floats]:
     """Return the derivatives (2 k + 2, n) of angles and of rates at instants ``t_s`` (n,) by the parameters.
 
-    ``corners`` and ``rates`` (k,) are those of the polyline; angle and scale follow. Only the derivatives by rates are
-    used for values.
+    ``corners`` and ``rates`` (k,) are those of the polyline; angle and scale follow. Those by the scale are 0.
+    ``modelled`` takes the values from those by rates.
     """
     k = len(corners)
     lengths = (corners[1:] - corners[:-1])[:, None]

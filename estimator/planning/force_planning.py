@@ -41,7 +41,7 @@ def force_covariances(
     products: Callable[[Floats], Floats],
     rest_angles: Law | None = None,
 ) -> Floats:
-    """Return the covariances (a, 7, 7) of [k, b, sigma_j, sigma_k, x, y, z] of each accelerometer.
+    """Return the covariances (a, 7, 7) of [k, b, sigma_j, sigma_k, x, y, z] of each accelerometer, in SI units.
 
     ``conditions`` are those of the motion at N even instants; ``products`` weighs columns (N, c) under the noise of the
     accelerometers (``estimator.planning.planning.weighing``). ``rest_angles`` is the law of the angles at rest: what a

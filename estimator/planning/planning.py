@@ -113,8 +113,9 @@ class Forecast:
 def forecast(conditions: Conditions, devices: Sequence[PlannedDevice], effects: Sequence[Effect] = ()) -> Forecast:
     """Return what a motion will show: sigmas of the states of each gyro, and the smallest visible size of each effect.
 
-    ``conditions`` are those of the motion at N even instants. The forecast also has what each effect shifts the states
-    by, pairs of visible effects that look alike, and whether there are too few different rates.
+    ``conditions`` are those of the motion at N even instants. Gyros come device by device, effects in the order given.
+    The forecast also has what each effect shifts the states by, pairs of visible effects that look alike, and whether
+    there are too few different rates.
     """
     scales: list[Floats] = []
     names: list[tuple[str, str]] = []
@@ -229,7 +230,8 @@ def _effect_forecast(
 
     ``information`` (g, P, P) is its scaled information with the states eliminated, ``total`` (g, P) the diagonal of its
     own information, ``response`` (g, 4, P) what the scaled states absorb of it, ``scale`` and ``sd`` (g, 4) their units
-    and scaled sigmas. A parameter that the states absorb has an infinite smallest size.
+    and scaled sigmas. Sizes are (P, g), or (P, 1) if all gyros share the effect; shifts are (P, g, 4). A parameter that
+    the states absorb has an infinite smallest size.
     """
     kept = np.diagonal(information, axis1=1, axis2=2).T
     alone = total.T
@@ -277,7 +279,8 @@ def _imitating_pairs(
 
 
 def _share_copied(a: EffectForecast, own_a: slice, b: EffectForecast, own_b: slice, information: Floats) -> Pair:
-    """Return how well b, at plausible sizes, copies the parameter of a that it copies best, and in which gyro.
+    """Return how well b, at plausible sizes, copies the parameter of a that it copies best, and the number of the gyro
+    in which it does, None if all share a.
 
     ``own_a`` and ``own_b`` are their places in ``information`` (g, E, E), the scaled information of g gyros with the
     states eliminated. The correlation r is that of the information: with b in the model, the sigma of the parameter

@@ -46,7 +46,7 @@ def settled(law: str, above_k: float) -> tuple[Floats, Floats] | None:
     gains.
 
     Both are (terms,); gains are relative to the rate about the sense axis. None if the law depends on anything but
-    temperature, time and that rate, or not linearly on the rate.
+    temperature, time and that rate, on memory, or not linearly on the rate; LawError for an invalid text.
     """
     if not set(variables_of(law)) <= {"T", "t", "u"} or functions_of(law) & {"lag", "play", "last"}:
         return None
