@@ -157,7 +157,8 @@ class ForceCalibration:
     def intrinsic(self) -> Intrinsic:
         """Sensitivities (a,), offsets (a,) and angles of all pairs with sigmas, which another laboratory can reproduce.
 
-        There must be at least one accelerometer.
+        Offsets are in m/s2, angles in rad; pairs are first with second, first with third and so on. There must be at
+        least one accelerometer.
         """
         states = np.concatenate([one.states for one in self.accelerometers])
         value = self._intrinsic_of(states)

@@ -167,7 +167,9 @@ class ErrorModel:
         return any("temperature" in known.effect(()).needs for known in self.effects)
 
     def text(self) -> str:
-        """Return the model as JSON text, which ``parse`` reads; without accelerometers that key is left out."""
+        """Return the model as JSON text, which ``parse`` reads: effects with settings, sizes and where these come from,
+        and what was left out. | Without accelerometers that key is left out.
+        """
         effects = [
             {
                 "effect": known.name,
@@ -190,7 +192,7 @@ class ErrorModel:
         """Return the model in a text; ``where`` names the text in errors.
 
         ModelError, with the reason, if it is no model, of another version, damaged, lists an effect twice, or has one
-        that the catalogue lacks.
+        that the catalogue lacks. Effects of accelerometers are compared with their catalogue only when used.
         """
         try:
             whole = read_json(text)
@@ -215,7 +217,8 @@ class ErrorModel:
     def read(cls, path: Path | str) -> Self:
         """Return the model in a file: JSON, or the HDF5 file of an investigation.
 
-        ModelError if it is no file, cannot be read, or holds no model (``parse``).
+        ModelError if it is no file, cannot be read, or holds no model (``parse``); RecordingError for an HDF5 file that
+        ``probe`` refuses, as one that is damaged.
         """
         path = Path(path)
         try:
@@ -300,7 +303,7 @@ def _finite(key: str, value: object) -> float:
 
 def _text_in(path: Path) -> str:
     """Return the text of the model in an investigation's HDF5 file, which a child process reads first; ModelError if
-    none.
+    none, RecordingError if that process refuses the file.
     """
     probe(path)
     with h5py.File(path, "r") as file:

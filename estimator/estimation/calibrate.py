@@ -51,8 +51,8 @@ def calibrate(
     except at rest, for turns or poses, and with a model that holds a delay. ``innovations`` also gives the mean NIS,
     else NaN. A ``model``'s effects are estimated with the states; an empty one counts as none. Without effects of
     gyros, ``excluded`` names the catalogue's effects that device and table do not have: the sigmas hold what the others
-    could do unseen. None: the sigmas allow for no such effects. Defective gyros are left out and listed in the result.
-    Accelerometers are calibrated too.
+    could do unseen. None: the sigmas allow for no such effects. Gyros come in the order of the recording; defective
+    ones are left out and listed in the result. Accelerometers are calibrated too.
 
     Raises RecordingError if a source has no samples the reference covers, no gyro can be estimated, or memory is too
     small; ModelError for a model beside poses, and if the recording lacks what the model needs.
@@ -254,7 +254,8 @@ def _rest_angle_notes(
 ) -> list[str]:
     """Return a sentence if the axes stand so far off their counts that misalignments of gyros are less sure than said.
 
-    Accelerometers show how far off they stand; where they are silent nothing is known, and nothing is said.
+    Accelerometers show how far off they stand; where they are silent nothing is known, and nothing is said. The
+    sentence has the largest of these additional sigmas.
     """
     share = max((one.rest_angle_share for one in forces), default=0.0)
     if recording.table is None or not share:

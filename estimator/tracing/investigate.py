@@ -135,7 +135,8 @@ def _conclude(
     most: int,
     verification: Sequence[Recording],
 ) -> Investigation:
-    """Return the investigation after the search: effects judged and confirmed, errors before and after, verdict.
+    """Return the investigation after the search: effects judged and confirmed, errors before and after, verdict, and
+    all that is reported beside these.
 
     ``held_back`` are the runs of ``verification``, ``left_out`` the effects that could not be tried, ``faults`` those
     that were seen in the data. ``most`` is the largest number of effects, for a second search if the verification run

@@ -69,7 +69,8 @@ def compiled(law: str) -> tuple[Compiled, ...]:
 def _compiled(node: ast.expr, text: str) -> Compiled:
     """Return a checked syntax tree as a function of the variables; LawError for syntax that laws do not have.
 
-    ``text`` is the term that the tree is a part of.
+    Functions with memory are computed once and remembered, by their own text. ``text`` is the term that the tree is a
+    part of.
     """
     match node:
         case ast.Constant(value=int() | float() as number):

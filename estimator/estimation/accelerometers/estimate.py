@@ -117,7 +117,8 @@ def estimate_forces(
 
 
 def _effect_values(settled: Settled, law: int, name: str) -> ForceEffectValues:
-    """Return the parameters of an effect of the model for each accelerometer, and their standard deviations.
+    """Return the parameters of an effect of the model for each accelerometer, and their standard deviations, in its
+    unit, and about which conditions the states hold.
 
     ``law`` is the number of its law in the joint estimate.
     """

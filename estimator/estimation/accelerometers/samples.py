@@ -48,8 +48,8 @@ def checked(data: ImuData, table: TableReadings) -> Checked:
 
     Excluded, with the reason, are those that are dead or stuck, along another axis than stated, of the wrong sign or in
     the wrong unit; and all if they are not three and their axes are not stated. Samples are put in the order of time,
-    odd ones left out; single values that are at a limit, stuck or beyond any force become NaN. Notes say so, and doubts
-    what was stuck for a time. ``samples`` is None if none is left.
+    spikes and repetitions left out; single values that are at a limit, stuck or beyond any force become NaN. Notes say
+    so, and doubts what was stuck for a time. ``samples`` is None if none is left.
     """
     assert data.accel_mps2 is not None
     assert data.accel_sheet is not None

@@ -112,7 +112,7 @@ def join_mountings(
 def _check(recordings: Sequence[Recording]) -> None:
     """Raise RecordingError unless there are two recordings or more, on a table, of one device with the same gyros.
 
-    The same are sources and axes, to within ``TOLERANCE``.
+    The same are names of sources and axes in the device, to within ``TOLERANCE``; names of gyros are not compared.
     """
     if len(recordings) < 2:
         raise RecordingError(sentence("estimation.joined_alone"))
@@ -290,7 +290,9 @@ def _forces(
 
 
 def _excluded(runs: Sequence[_Run], source: str) -> tuple[Excluded, ...]:
-    """Return the accelerometers of a source that some run could not estimate, with each reason and its runs."""
+    """Return the accelerometers of a source that some run could not estimate, once each: "RUNS: REASON" for each
+    reason.
+    """
     by_name: dict[str, dict[str, list[str]]] = {}
     for run in runs:
         for forces in run.forces:
@@ -336,7 +338,9 @@ def _accelerometer(
 
 
 def _notes(runs: Sequence[_Run], sensors: Sequence[DeviceSensor], joined: JoinedStates) -> list[str]:
-    """Return sentences on states that no run shows, on accelerometers of single runs, and on biases that change."""
+    """Return sentences on states that no run shows, on accelerometers of single runs (these first), and on biases that
+    change.
+    """
     notes = _by_text([(run.recording.name, note) for run in runs for note in run.force_notes])
     unseen: dict[str, list[str]] = {}
     for sensor, variance in zip(sensors, np.diag(joined.covariance).reshape(-1, 4), strict=True):

@@ -40,7 +40,7 @@ def runs_of(recording: Recording, block_s: float = BLOCK_S, order: int = 0) -> t
     Blocks last ``block_s``, longer in long recordings. A source gives several runs where faulty samples divide it,
     named "SOURCE (2)" and so on from the second on; runs with too few blocks are left out. ``order`` is the number of
     the recording among all. If two sources have gyros of the same name, all names get that of their source in front.
-    Values held over several samples are faults, too.
+    Values held over several samples are faults, too. Notes begin with the recording's name.
 
     Raises InvestigationError if the reference is gravity, or no run is left.
     """

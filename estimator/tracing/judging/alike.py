@@ -29,7 +29,9 @@ def _in_doubt(part: Part) -> bool:
 
 
 def _with_alike(search: Search, parts: Sequence[Part], part: Part, held_back: Sequence[Run]) -> Part:
-    """Return a law with the shares of its rivals that predict the same added to its own; these are no rivals then."""
+    """Return a law with the shares of its rivals that predict the same added to its own, and its probability raised as
+    much; these are listed in ``alike`` and are no rivals then.
+    """
     others = [one for one in parts if one is not part and one.tone is None]
     terms, names = [one.term for one in others], [one.candidate.name for one in others]
     scores, shares = search.scores(terms, names), search.shares_beside(terms, names)

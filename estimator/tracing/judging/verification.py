@@ -312,7 +312,8 @@ def sum_of(errors: Iterable[Drawn]) -> Drawn:
 def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
     """Return the errors of model ``which`` (0 before, 1 after) over phases; all NaN without phases.
 
-    The share of intervals counts the phases in which the models differ most, at least ``_FEWEST_JUDGED``.
+    The rms is that of the draws ``whole``, the largest error that of a block of a phase. The share of intervals counts
+    the phases in which the models differ most, at least ``_FEWEST_JUDGED``, and all if they differ in none.
     """
     if not phases:
         return Errors(float("nan"), float("nan"), float("nan"))
@@ -324,7 +325,9 @@ def _errors(phases: Sequence[_Phase], which: int, whole: Drawn) -> Errors:
 
 
 def _gyro(name: str, before: Augmented, after: Augmented, phases: Sequence[_Phase], errors: Drawn) -> GyroErrors:
-    """Return the errors of a gyro in all and by phase, and its states with sigmas, before and after."""
+    """Return the errors of a gyro in all and by phase, and its decoded states with sigmas, before and after, and by how
+    many of the former sigmas they moved.
+    """
     g = after.names.index(name)
     (old, old_covariance), (new, covariance) = (decode(m.mean[g, :4], m.covariance[g, :4, :4]) for m in (before, after))
     moved = (new - old) / np.sqrt(np.diag(old_covariance))
