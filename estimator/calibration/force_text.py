@@ -32,7 +32,7 @@ def forces_of(text: str) -> tuple[ForceCalibration, ...]:
 
 
 def _object(calibration: ForceCalibration) -> dict[str, Any]:
-    """Return the calibration of a source as values of JSON, without the data sheet; ``_calibration`` reads them."""
+    """Return all fields of the calibration of a source as values of JSON; ``_calibration`` reads them."""
     return {
         "source": calibration.source,
         "device": calibration.device,
@@ -52,7 +52,7 @@ def _object(calibration: ForceCalibration) -> dict[str, Any]:
 
 
 def _effect_object(effect: ForceEffectValues) -> dict[str, Any]:
-    """Return an effect of a model as values of JSON."""
+    """Return all fields of an effect of a model as values of JSON; arrays become lists."""
     return {
         "name": effect.name,
         "unit": effect.unit,

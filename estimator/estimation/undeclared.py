@@ -60,7 +60,8 @@ class Undeclared:
 
 
 def undeclared(runs: Sequence[Run], excluded: frozenset[str]) -> Undeclared:
-    """Return the laws of the catalogue, except those excluded, that could act on the states unseen.
+    """Return the laws of the catalogue, except those excluded, that could act on the states unseen, with a share of
+    their largest plausible sizes as expected ones.
 
     Laws whose temperature or pose was not recorded are assumed: a temperature that rises by 10 K, level axes of a body
     that turns. The runs of the result have the assumed conditions. Where temperature is unknown, the states hold for

@@ -89,7 +89,7 @@ class Search:
             self.evidence.narrow([[], rich])
 
     def _numbers(self, count: int) -> NDArray[np.intp]:
-        """Return ``count`` unused column numbers, making room if there are too few."""
+        """Return ``count`` unused column numbers, which then count as used; make room if there are too few."""
         if count > len(self._free):
             first = self.evidence.gyros[0].columns[0].shape[1]
             last = first + max(count - len(self._free), _ROOM)

@@ -266,7 +266,8 @@ class Causes:
     ) -> "Causes":
         """Return the causes among the certain parts of a model: without tones that are images of others, or weak.
 
-        ``model`` leaves the residual ``left``. Weak tones are removed only if something is left unexplained.
+        ``model`` leaves the residual ``left``. Weak tones are removed only if something is left unexplained. What is
+        removed is kept for notes, images with their tone.
         """
         weak = faint(certain, search.evidence, search.runs, model, left) if unexplained and left else []
         echoes = images(certain, search.runs)

@@ -201,7 +201,8 @@ def force_conditions(
 ) -> Conditions:
     """Return the conditions at instants (n,), with the specific force at a place ``arm_m`` (3,).
 
-    ``t_s`` (n,) are the instants in s, unrounded if they are known so; ``temperature_c`` (n,) is None if not known.
+    Earth rate is left out. ``t_s`` (n,) are the instants in s, unrounded if they are known so; ``temperature_c`` (n,)
+    is None if not known.
     """
     angle, rate = rates.angles_at(t_ns), rates.gimbals_at(t_ns)[1]
     conditions = Conditions.on_table(

@@ -82,8 +82,8 @@ class _Phase:
 def phases_of(run: Run) -> list[Phase]:
     """Return the phases of a run in order; those that are too short are left out.
 
-    On a table they are rests, ramps and steady rates of at least five (ramps: one) blocks; of turns each is one; else
-    pieces of equal length.
+    On a table they are of kind "rest", "ramp" and "steady"; of turns each is one ("rest" or "steady"); else they are
+    each a "piece" of equal length, across gaps. Those on a table and pieces have at least five blocks, ramps one.
     """
     grid = run.grid
     if run.stated_rps:  # each turn is one
