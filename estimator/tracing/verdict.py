@@ -266,8 +266,8 @@ class Causes:
     ) -> "Causes":
         """Return the causes among the certain parts of a model: without tones that are images of others, or weak.
 
-        ``model`` leaves the residual ``left``. Weak tones are removed only if something is left unexplained. What is
-        removed is kept for notes, images with their tone.
+        ``model`` leaves the residual ``left``. Weak tones are removed only if something is left unexplained. They are
+        kept in ``weak`` for the notes, images in ``echoes`` by the name of their tone.
         """
         weak = faint(certain, search.evidence, search.runs, model, left) if unexplained and left else []
         echoes = images(certain, search.runs)
@@ -284,7 +284,9 @@ class Causes:
     def added(
         self, search: Search, found: Found, model: Augmented, told: Mapping[str, OutOfSample]
     ) -> tuple[Added, ...]:
-        """Return the causes with their numbers; ``told`` is by name what data left out of the fit say of them."""
+        """Return the causes with their numbers; tones also have the frequencies of their images. | ``told`` is by name
+        what data left out of the fit say of them.
+        """
         return tuple(
             with_images(
                 added_of(search, found, part, model, told.get(part.term.name)),
