@@ -168,7 +168,9 @@ class ErrorModel:
 
     def text(self) -> str:
         """Return the model as JSON text, which ``parse`` reads: effects with settings, sizes and where these come from,
-        and what was left out. | Without accelerometers that key is left out.
+        and what was left out.
+
+        Without accelerometers that key is left out.
         """
         effects = [
             {

@@ -64,7 +64,8 @@ def _effect_object(effect: ForceEffectValues) -> dict[str, Any]:
 
 
 def _accelerometer_object(accelerometer: AccelerometerCalibration) -> dict[str, Any]:
-    """Return one accelerometer as values of JSON, without source and device, which are those of its calibration. |
+    """Return one accelerometer as values of JSON, without source and device, which are those of its calibration.
+
     ``noise`` is [N, B, K, upper limit of B, of K], null if unknown.
     """
     noise = None

@@ -284,8 +284,9 @@ class Causes:
     def added(
         self, search: Search, found: Found, model: Augmented, told: Mapping[str, OutOfSample]
     ) -> tuple[Added, ...]:
-        """Return the causes with their numbers; tones also have the frequencies of their images. | ``told`` is by name
-        what data left out of the fit say of them.
+        """Return the causes with their numbers; tones also have the frequencies of their images.
+
+        ``told`` is by name what data left out of the fit say of them.
         """
         return tuple(
             with_images(

@@ -103,8 +103,9 @@ def with_structure(
 
 
 def _shape(runs: Sequence[Run], first: int, models: tuple[Augmented, Augmented], name: str) -> _GyroShape:
-    """Return the shape of a gyro's residuals under two models; phases without full blocks are left out. | It also has
-    by how much the last model lowers the squares of all full blocks, phases or not.
+    """Return the shape of a gyro's residuals under two models; phases without full blocks are left out.
+
+    It also has by how much the last model lowers the squares of all full blocks, phases or not.
     """
     last = models[-1]
     sigma_rps = float(last.arw[last.names.index(name)])
