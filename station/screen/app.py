@@ -76,7 +76,7 @@ class StationApp(App[None]):
     ]
 
     def __init__(self, choices: Choices, *, attach: bool = False) -> None:
-        """Complete ``choices`` by the last entries, and load the theme; ``attach``: begin with a running session."""
+        """Fill empty ``choices`` from the last entries, and load the theme; ``attach``: begin on the run screen."""
         if attach:
             self.DEFAULT_MODE = "run"
         super().__init__()
@@ -132,8 +132,8 @@ class StationApp(App[None]):
     def action_stop(self) -> None:
         """Bring the table to rest at once, without any question.
 
-        A run about to start, also that of a mounted device, is cancelled. A shown session is stopped if active; if the
-        bar is about none, all others are. The operator is told of a cancelled start, and if one cannot be reached.
+        A run about to start, also that of a mounted device, is cancelled, and the operator told. A shown session is
+        stopped if active, or told to be out of reach; if there is none and the bar is about none, all others are.
         """
         sent, self._told_by_key = self._told_by_key, False
         for_one = sent or self._run_on_bar is not None
@@ -191,7 +191,7 @@ class StationApp(App[None]):
         yield from (command for command in super().get_system_commands(screen) if command.title != "Keys")
 
     async def action_quit(self) -> None:
-        """Leave the screen; if a session runs, ask what to do with it. An open dialog is closed instead."""
+        """Leave the screen; if a session runs, ask whether to stop it, or to stay. An open dialog is closed instead."""
         if isinstance(self.screen, StationDialog):
             self.screen.dismiss(None)
             return
@@ -215,8 +215,9 @@ class StationApp(App[None]):
         self.work(partial(self._start, prospect), "start")
 
     async def _start(self, prospect: Prospect) -> None:
-        """Start and follow a session for the prepared run; notify why not if one runs on this bench or it cannot start.
+        """Start and follow a session for the prepared run, or notify why not.
 
+        That is if the session shown is active, on any bench, another one is on this bench, or it cannot be started.
         Its item on the tray becomes running, or waits again; a manual run has none. Twins are fast without a scale.
         """
         others = await sessions_on(prospect.bench, self.choices.bench)
@@ -297,7 +298,7 @@ class StationApp(App[None]):
         self.work(self._choose, "sessions")
 
     async def _find_sessions(self) -> None:
-        """Offer running sessions at the start if there is room; with --attach show the only one, or prepare if none."""
+        """Offer running sessions, not if the screen is small; with --attach show a single one, or prepare if none."""
         if not self._begins_attached:
             if not self._is_small:
                 await self._choose(quiet=True)
@@ -312,7 +313,7 @@ class StationApp(App[None]):
             self.switch_mode("prepare")
 
     async def _choose(self, *, quiet: bool = False) -> None:
-        """Offer the running sessions or say there are none; ``quiet``: only offer, and not while one is active."""
+        """Count the sessions not shown; offer all, or say there are none. ``quiet``: only offer, if none is active."""
         found = await session_lines()
         self.others = sum(self._link is None or path != self._link.socket for path, _ in found)
         if found and not (quiet and self.busy):
@@ -365,10 +366,11 @@ class StationApp(App[None]):
         self.work(partial(self._link.follow, self._changed), "session")
 
     def _changed(self) -> None:
-        """Update the screen after a new stage of the session; once it has ended, the tray, too.
+        """Update the screen after a new stage of the session, and count the others; once it has ended, the tray, too.
 
-        PASS, ESTIMATED or FAIL leads from the run screen to the result and, without STOP, to the next of the tray. A
-        run without a result is looked up in its recording. The app ends if the operator is leaving and the table rests.
+        An item whose session never greeted waits again. PASS, ESTIMATED or FAIL leads from the run screen to the result
+        and, without STOP, to the next of the tray. A run without a result is looked up in its recording. The app ends
+        if the operator is leaving and the table rests.
         """
         run = self.shown
         self._tick()
@@ -402,7 +404,7 @@ class StationApp(App[None]):
         return found
 
     def _tick(self) -> None:
-        """Update STOP, report refusals of the session, and update the screens, also those below a dialog."""
+        """Update STOP, report refusals in place of other notes, and update the screens, also those below a dialog."""
         self.show_stop()
         while self.shown is not None and self.shown.refusals:
             self.clear_notifications()  # a key that is held is refused again and again

@@ -105,7 +105,7 @@ class Small(Lines):
 
 
 def _lines(run: LiveRun | None, without: str) -> list[Text]:
-    """Return four lines about a run, the most important first: what it does, time left, NIS and losses, angles in deg.
+    """Return four lines about a run: what it does; time left and share done; NIS and lost samples; angles in deg.
 
     It is one line otherwise: outcome and reason, once there is an outcome; "starting" before the first snapshot;
     ``without`` a run that text.

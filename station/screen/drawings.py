@@ -66,9 +66,10 @@ def state_drawing(
     """Return a chart of the estimate of state number ``index`` over time, as a band of one sigma.
 
     ``figures`` are the states in the units of the bench. If ``over`` is not "s" but "days", points with error bars show
-    successive calibrations, with dates from ``began_utc_s`` on. The title says if the motion so far has not narrowed
-    the prior; without an estimate there is only a title. The range is that of the last fifth of the time, of
-    calibrations that of all; estimates with a wider sigma are left out. A finite limit is named, and drawn if near.
+    successive calibrations, with dates from ``began_utc_s`` on. The title has the last figure, and says if the motion
+    so far has not narrowed the prior; without an estimate there is only a title. The range, round the last estimate,
+    is that of the last fifth of the time, of calibrations that of all; estimates with a wider sigma are left out. A
+    finite limit is named, and drawn if near.
     """
     state, days = figures[index], over != "s"
     words = [(f"{state.name} ({state.unit})", "")]

@@ -168,7 +168,7 @@ def _done(work: str, *about: Any) -> Any:
 def _files(folder: Path, deep: bool) -> list[File]:
     """Return path, time of change and size of the .h5 files in a folder and, if ``deep``, below it, newest first.
 
-    Only regular files are listed, and folders that cannot be read, with time and size 0.
+    Only regular files are listed, also by links to them, and folders that cannot be read, with time and size 0.
     """
     found: list[File] = []
     walk = os.walk(folder, onerror=lambda e: found.extend([(e.filename, 0, 0)] * os.path.exists(e.filename)))  # told

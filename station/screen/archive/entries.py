@@ -187,8 +187,9 @@ def moves(entries: Iterable[Entry]) -> dict[str, list[Move]]:
 
     A run, failed or not, is compared with the last run before it in its group of comparable runs that did not fail. The
     list is empty for the first run of a group, and while all runs before it failed; runs that are not comparable (see
-    ``comparable``) have none. A copy of a run gets the same list as the run. Moves are in sigmas of both runs together,
-    with their sign. The limit allows for the number of gyros and states; a state whose sigmas are both 0 never moves.
+    ``comparable``) have none. A copy, a comparable run of the same instant, gets the same list. Moves are in sigmas of
+    both runs together, with their sign. The limit allows for the number of gyros and states; a state whose sigmas are
+    both 0 never moves.
     """
     from statistics import NormalDist  # as numpy takes a while to load, and few look at a second run
 

@@ -65,7 +65,8 @@ def read(path: Path, when_utc_s: float, with_samples: bool) -> ReadRecording:
     raises.
 
     ``when_utc_s`` is the time of its last change, used if the recording has no clock. A run that was cut off is
-    recovered first, in the file. Another HDF5 file is ``foreign``; a recording of a later format is unreadable.
+    recovered first, in the file, if that is possible. Another HDF5 file is ``foreign``; a recording of a later format
+    is unreadable.
     """
     unread = Entry(str(path), when_utc_s)
     with suppress(RecordingError):  # of a run in progress, or in a write-protected place: shown unrecovered
@@ -99,7 +100,8 @@ def _listed(file: Any) -> list[str]:
 def _entry(unread: Entry, file: Any) -> Entry:
     """Return the entry of an open recording; ``unread`` has its path and the time of its last change.
 
-    That time stays if the recording has no clock. Without a calibration there are no figures. ValueError for an
+    That time stays if the recording has no clock. Devices are those of its sources, each once, else that of the file.
+    Without a calibration there are no figures, and neither then nor if it is not finite a mean NIS. ValueError for an
     impossible time.
     """
     began_utc_s = plain(file.attrs.get("clock_zero_utc_s"))
@@ -138,7 +140,8 @@ def _units(bench: str) -> dict[str, str]:
 def _whole(entry: Entry, file: Any) -> ReadRecording:
     """Return everything the result screen shows of an open recording, except the limits.
 
-    Figures are left out without a calibration, the noise unless the calibration estimated it.
+    Figures are left out without a calibration, the noise unless the calibration estimated it: its mean over the gyros.
+    An investigation stored beside it is included.
     """
     found: dict[str, Any] = {}
     if (group := file.get("calibration")) is not None:
@@ -162,8 +165,9 @@ def _whole(entry: Entry, file: Any) -> ReadRecording:
 def _judged(recording: ReadRecording, bench: str) -> ReadRecording:
     """Return the recording with the limits of its bench, and the broken ones if its recorded reason names the same.
 
-    ``bench`` is the text of the bench file. The broken ones are worst first, and what else the reason says becomes
-    ``because``. Limits or broken ones are left as they are if bench file or calibration cannot be read.
+    ``bench`` is the text of the bench file. The broken ones are in the order of ``worst_first``, those of no gyro
+    first; what else the reason says becomes ``because``. What cannot be had is left as it is: limits if the bench file
+    cannot be read, broken ones if the calibration cannot.
     """
     from station.bench.bench import read_limits  # with all drivers, which a list of recordings does without
     from station.views.limits import limit_lines, worst_first

@@ -57,7 +57,7 @@ class FormLine:
     wrong: bool
 
     def words(self, width: int, *, first: bool) -> str:
-        """Return the line for a terminal of ``width`` columns; the ``first`` line of a table names it.
+        """Return key, text and remark for a terminal of ``width`` columns; the ``first`` line of a table names it.
 
         In a wide one the meaning of the key follows, unless the fact is wrong. The line is not cut to the width.
         """

@@ -42,7 +42,7 @@ class TrendView:
 
 
 def trend_text(view: TrendView) -> Text:
-    """Return whose trend is shown, over how many calibrations and how many of them FAIL; empty without a recording.
+    """Return whose trend is shown, its number of calibrations, how many FAIL, the file; empty without a recording.
 
     If the chosen recording cannot be read, or has no calibration, it says that instead.
     """

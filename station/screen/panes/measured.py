@@ -164,7 +164,8 @@ def _link_state(source: SourceSnapshot) -> str:
 def _judgement(snapshot: Snapshot) -> tuple[str, str]:
     """Return a text on the innovations of the live filter, and its style.
 
-    It says whether their NIS is off 1 or they are not white, by more than chance; "not known yet" with too few blocks.
+    It says that their NIS is off 1, else that they are not white, each if by more than chance, else that both are good;
+    "not known yet" with too few blocks.
     """
     if not (math.isfinite(snapshot.nis_recent) and math.isfinite(snapshot.whiteness)):  # too few blocks for either
         return "not known yet", _DIM

@@ -67,7 +67,10 @@ def _no_run(other_sessions: int) -> str:
 
 
 def _run_lines(run: LiveRun, width: int) -> list[Text]:
-    """Return the lines on a run, fitted to ``width`` columns: ended, lost, silent, starting, by hand, or under way."""
+    """Return the lines on a run, fitted to ``width`` columns: ended, lost, silent, starting, by hand, or under way.
+
+    The last line is the path of the recording, except by hand and under way.
+    """
     recording = f"recording: {run.recording}"
     if run.stage is Stage.ENDED:
         begun = run.hello is not None

@@ -130,7 +130,8 @@ class ScriptView:
 def script_text(view: ScriptView) -> Text:
     """Return how long the script takes, and the sigmas that are predicted for it.
 
-    In place of these: why the script cannot be read, that the prediction is under way, or why it failed.
+    In place of these: why the script cannot be read, and in place of the sigmas that their prediction is under way, or
+    why it failed. Before the script is read there is only the heading.
     """
     prospect = view.prospect
     if prospect.motion is None:

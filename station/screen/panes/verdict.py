@@ -83,7 +83,7 @@ def _outcome(entry: Entry) -> Text:
 def _limits_exceeded(recording: ReadRecording) -> list[Text]:
     """Return lines on the exceeded limits: the outcome and how many, possible causes, the four worst, remedies of all.
 
-    The worst with a bound are a table, those without an estimate are below it.
+    The worst with a bound are a table, those without an estimate are below it, then how many more there are, if any.
     """
     count = len(recording.broken)
     worst = recording.broken[:_MOST]

@@ -111,7 +111,8 @@ class SessionLink:
         """Connect to the session, and receive its messages until the connection ends or cannot be made.
 
         A STOP that was asked for is sent again, or the process is interrupted if the session does not answer. Unless
-        the run has ended, its stage becomes LOST, with the reason, and the next attempt has to wait a second.
+        the run has ended, its stage becomes LOST, with the reason, and the next attempt has to wait a second. A
+        greeting that is none raises KeyError, TypeError or ValueError.
         """
         why = "the connection to the session broke"
         try:

@@ -115,7 +115,7 @@ class PrepareScreen(StationScreen):
         """Take over the text; bench and script are read only on Enter, and until then there is no prospect of changed
         ones.
 
-        A mounted device is mounted no longer.
+        A mounted device is mounted no longer. A changed operator counts as confirmed now.
         """
         self.station.mounted = False
         if event.input.id == "operator":
@@ -144,8 +144,8 @@ class PrepareScreen(StationScreen):
     def note_key(self, event: events.Key) -> None:
         """Collect characters that come as fast as a scanner's, wherever the focus is, until Enter or Tab is pressed.
 
-        Called before any other handling of the key. A pause or another key begins anew. The focused field and its text
-        before the first character are noted, so that ``_take_scan`` can restore them.
+        Called before any other handling of the key. A pause or another key begins anew. With the first character the
+        focused field, its text before, and the pattern of serial numbers are noted for ``_take_scan``.
         """
         gap_s = event.time - self._burst_at_s
         self._burst_at_s = event.time
@@ -164,8 +164,8 @@ class PrepareScreen(StationScreen):
     def _take_scan(self) -> bool:
         """Move a serial number that was scanned into another field to its own; return whether there was one.
 
-        The field gets its text back. A scan is a burst of ``_SCAN_LEAST`` characters or more that look like a serial
-        number.
+        A scan is a burst of ``_SCAN_LEAST`` characters or more that look like a serial number. Once the field has seen
+        the last of them it gets its text back. The burst is forgotten in any case.
         """
         text, self._burst = self._burst.strip(), ""
         field, before = self._before_burst
@@ -193,8 +193,8 @@ class PrepareScreen(StationScreen):
     def _is_serial(self, text: str, field: Input | None, before: str) -> bool:
         """Return whether a text typed at once, into ``field`` or none, can be a serial number.
 
-        It must match the pattern, if one is known. In an operator field that was empty ``before`` it is a badge; in
-        other fields it must not be a file.
+        It must match the pattern, if one is known. In an operator field that was empty ``before`` it is a badge and no
+        number; in other fields it must be neither a file nor look like one.
         """
         pattern = self._burst_pattern
         if pattern and not matches(pattern, text):
@@ -395,7 +395,8 @@ class PrepareScreen(StationScreen):
     def redraw(self) -> None:
         """Show all answers; nothing before the screen is built.
 
-        A mounted device's run is started if nothing prevents it; if something is wrong, that is reported.
+        A mounted device's run is started if nothing prevents it; if something is wrong, that is reported. In both cases
+        the device counts as mounted no longer.
         """
         if not self.query(Charts):
             return

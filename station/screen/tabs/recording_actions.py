@@ -25,7 +25,7 @@ def offered(app: Any, recording: Path) -> Iterator[SystemCommand]:
 
 
 async def _make(app: Any, recording: Path, suffix: str) -> None:
-    """Write a report or export of a recording beside it, and tell the operator the file or the reason of a failure.
+    """Write a report or export beside a recording, under a free name; tell the operator the file or why it failed.
 
     ``suffix`` is that of the file: "html" or "pdf" for a report, "xml" for a DCC with the report as PDF, "h" for source
     code in C, others for the export of that name. On a desktop HTML is then opened in a browser; elsewhere a browser

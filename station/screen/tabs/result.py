@@ -122,7 +122,7 @@ class ResultScreen(StationScreen):
     def action_investigate(self) -> None:
         """Look for errors that the model misses; notify why if that is not possible.
 
-        If there are other runs of the device, ask first which should verify them; at most 20 are offered one by one.
+        If there are other runs of the device, ask first what should verify them: none, all, or one of at most 20.
         """
         if not self._may("investigate"):
             return
@@ -154,7 +154,7 @@ class ResultScreen(StationScreen):
         """Run `station investigate` on a recording, verified by ``judging``, and show its result or why there is none.
 
         Without any ``judging`` the recording is cross-validated. The result is stored beside the recording, as is the
-        next script. Nothing is shown if another recording is open by then.
+        next script, both under free names. Nothing is shown if another recording is open by then.
         """
         kept = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}{INVESTIGATION}.h5"))
         script = await asyncio.to_thread(free_path, path.with_name(f"{path.stem}-next.toml"))

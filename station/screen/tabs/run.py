@@ -56,7 +56,7 @@ class RunScreen(ManualScreen):
     def tick(self) -> None:
         """Update all figures, and of each group of charts one at most; unchanged parts cost nothing.
 
-        Before a run has figures those of the run before are cleared.
+        Before a run has figures those of the run before are cleared. A device's series get charts once there are some.
         """
         run = self.station.shown
         width = self.size.width - 4
