@@ -104,10 +104,11 @@ class Report:
 def make_report(recorded: Recorded, traced: Traced | None, formal: Formal) -> Report:
     """Return the report of a recording with its formal facts, and with an investigation if there is one.
 
-    Characters that could change the structure or direction of the text are made harmless. Figures of a joined
-    calibration do not say where they stand, as no recording holds them. BenchError if the bench text in the recording
-    cannot be read, EstimatorError for an error model of another version, UsageError if the recording as found does not
-    match or a logo cannot be read, RecordingError for content that cannot be laid out.
+    Without a stated number it has that of ``number_of``. Characters that could change the structure or direction of the
+    text are made harmless. A joined calibration has no unseen effects, and its figures do not say where they stand, as
+    no recording holds them. BenchError if the bench text in the recording cannot be read, EstimatorError for an error
+    model of another version, UsageError if the recording as found does not match or a logo cannot be read,
+    RecordingError for content that cannot be laid out.
     """
     hashes = {"file": file_sha256(recorded.path), "data": raw_sha256(recorded.path)}
     if traced is not None and traced.path != recorded.path:

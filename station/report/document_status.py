@@ -97,9 +97,10 @@ def standing_of(recorded: Recorded, formal: Formal | None = None) -> Standing:
 
 
 def _formal_kinds(formal: Formal, *, simulated: bool) -> list[Kind]:
-    """Return what keeps a passed run from a certificate; a specimen needs neither a date nor a place.
+    """Return what keeps a passed run from a certificate: equipment overdue, not approved, no date, no place, in order.
 
-    SPECIMEN stands alone, for simulated devices with no other reason; [] if nothing keeps it.
+    With simulated devices neither date nor place is needed, and without another reason the only one is SPECIMEN. [] if
+    nothing keeps a run.
     """
     lacking = {Kind.OVERDUE: bool(formal.overdue), Kind.NOT_APPROVED: not formal.approved}
     if not simulated:

@@ -63,8 +63,8 @@ def states_in(units: Units) -> tuple[tuple[Markup, Unit], ...]:
 def figure(value: float, unit: Unit, text: str, source: str | None = None, times: float | None = None) -> Markup:
     """Return a figure as HTML that shows ``text``, without its unit, and also carries its full ``value`` in SI.
 
-    ``source`` is its place in the recording: "group/dataset[row,column]" or "group@attribute"; ``times`` the factor by
-    which the value there is to be multiplied. What is None is left out.
+    It carries the factor of ``unit`` as well. ``source`` is its place in the recording: "group/dataset[row,column]" or
+    "group@attribute"; ``times`` the factor by which the value there is to be multiplied. What is None is left out.
     """
     beside = {
         "value": repr(float(value)),
@@ -119,8 +119,9 @@ def known(value: float | None, unit: Unit) -> Markup:
 def with_uncertainty(value: float, sd: float, unit: Unit, source: str | None, source_of_sd: str | None) -> list[Markup]:
     """Return a value, its standard and its expanded uncertainty in ``unit``.
 
-    The value is rounded to two digits of the expanded uncertainty (GUM 7.2.6). ``value`` and ``sd`` are in SI;
-    ``source`` and ``source_of_sd`` say where in the recording they stand, None for nowhere.
+    The value is rounded to two digits of the expanded uncertainty (GUM 7.2.6), and each uncertainty to two digits of
+    itself, see ``rounded``. ``value`` and ``sd`` are in SI; ``source`` and ``source_of_sd`` say where in the recording
+    they stand, None for nowhere.
     """
     expanded = COVERAGE * sd
     shown = [rounded(x * unit.factor, expanded * unit.factor) for x in (value, expanded)]

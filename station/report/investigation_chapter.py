@@ -52,7 +52,7 @@ class Traced:
 def read_traced(path: Path | None, recorded: Recorded) -> Traced | None:
     """Return the investigation in a file, or by default in the recording itself; None if the recording has none.
 
-    RecordingError for a file without one, or with gyros that the recording does not have.
+    RecordingError for a file that cannot be read, holds none, or one of gyros that the recording does not have.
     """
     import h5py
 

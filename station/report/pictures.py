@@ -200,7 +200,7 @@ def allan_picture(recorded: Recorded) -> Picture | None:
 
 
 def draw_noise(path: Path, noises: Mapping[str, Sequence[Sequence[SensorNoise]]]) -> None:
-    """Draw the Allan deviations of sensors at rest with their intervals and the fit of N, B and K, into a file.
+    """Draw Allan deviations of sensors at rest with intervals and the fit of N, B and K, into a file, by its suffix.
 
     ``noises`` are by source and kind of sensor; each kind of a source has a panel. An existing file is overwritten.
     UsageError if the file cannot be written.
@@ -271,8 +271,8 @@ def _rms_dph(residual_rps: Floats) -> float:
 def draw_investigation(path: Path, investigation: Investigation) -> None:
     """Draw each gyro's residual before and after into a file: over time, against rate and temperature, as a spectrum.
 
-    Temperature and spectrum have no panels if no gyro has them. The verification run is drawn, or else the first
-    recording. An existing file is overwritten. UsageError if there is nothing to draw or the file cannot be written.
+    Temperature and spectrum have no panels if no gyro has them. The title names the verification run, or else the
+    first recording, and the finding. An existing file is overwritten. UsageError if nothing can be drawn or written.
     """
     views, spectra = judged_views(investigation.views), judged_spectra(investigation)
     if not views:
@@ -304,7 +304,7 @@ def draw_investigation(path: Path, investigation: Investigation) -> None:
 def _draw(row: "Sequence[Axes]", view: ResidualView, spectra: Spectra | None, *, warm: bool = False) -> None:
     """Draw a gyro's residual before and after into panels: over time, rate, with ``warm`` temperature, and as spectra.
 
-    ``row`` has all of these. Over time it is means of stretches. Unknown temperatures leave an empty panel.
+    ``row`` has all of these, and the noise in each. Over time it is means. Unknown temperatures leave an empty panel.
     """
     over_time, *beside = row
     both = (("before", ORANGE, "x", view.before_rps), ("after", BLUE, "o", view.after_rps))

@@ -89,10 +89,11 @@ def closing_view(
 
 
 def _source(name: str, data: ImuData, attributes: Mapping[str, Any]) -> list[Content]:
-    """Return the row of a source, a cell for each of ``_SOURCE_HEADS``, its name first.
+    """Return the row of a source, a cell for each of ``_SOURCE_HEADS``: name, samples and rate, temperatures, losses.
 
-    ``attributes`` are those of the source in the recording; figures that it lacks are dashes, but no stated loss
-    counts as 0. The share of lost samples is one of all samples, lost ones included.
+    After the lost samples, as a number and in % of all, lost ones included, come repeated, late and corrupt ones, and
+    drift, jitter and offset of the clock. ``attributes`` are those of the source in the recording; figures that it
+    lacks are dashes, but no stated loss counts as 0.
     """
     where = f"imu/{name}@"
     samples = len(data.t_ns)

@@ -59,7 +59,7 @@ class CorrectionView:
 def correction_view(
     recorded: Recorded, calibration: Calibration, *, traced: Traced | None, states: States, data_sha256: str
 ) -> CorrectionView:
-    """Return the corrections of all devices; ``data_sha256`` is the hash of the samples, for the code.
+    """Return the axes of all gyros and the corrections of all devices; their code quotes the samples' ``data_sha256``.
 
     ``with_traced`` is empty unless the investigation added effects and its model has some. ``states`` has the unit of
     the bias.
@@ -102,10 +102,10 @@ def _direction(axis: Floats) -> Markup:
 
 
 def _device(correction: Correction, title: str, states: States, origin: str) -> DeviceView:
-    """Return the correction of one device, with the effects that it cannot undo and its code in Python.
+    """Return the correction of one device: its numbers, effects, delay, what it cannot undo, and its code in Python.
 
     ``origin`` and ``title`` stand at the top of the code. Effects are None if there are none; a delay of 0 is
-    empty.
+    empty. An effect that is not undone has the reason beside it.
     """
     compensation = correction.compensation
     delay_s = compensation.delay_s

@@ -58,8 +58,8 @@ class Correction:
 def corrections_of(recorded: Recorded, traced: Traced | None = None) -> list[Correction]:
     """Return one correction per device: of the calibration, or with states and effects of an investigation.
 
-    Gyros that the investigation does not have are left out. The recording must have a calibration, and ``traced`` a
-    model.
+    Axes are those in the frame of the device, not as it was mounted. Gyros that the investigation does not have are
+    left out. The recording must have a calibration, and ``traced`` a model.
     """
     assert recorded.calibration is not None
     gyros, model = list(recorded.calibration.gyros), recorded.calibration.model
@@ -107,7 +107,8 @@ def _augmented(gyro: GyroCalibration, label: str, traced: Traced) -> GyroCalibra
 def _correction(device: str, gyros: list[GyroCalibration], arrays: Mapping[str, SensorArray], model: str) -> Correction:
     """Return the correction of one device by the error model ``model`` (TOML), of gyros with ``arrays`` by source.
 
-    ``axes_only`` if the gyros do not span space: then effects that need the body rate are not applied.
+    ``axes_only`` if the gyros do not span space: then effects that need the body rate are not applied either.
+    ``not_applied`` has the reason for each effect that cannot be undone.
     """
     compensation = Compensation.of(gyros, arrays, model)
     try:

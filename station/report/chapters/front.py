@@ -138,7 +138,10 @@ def _identities(recorded: Recorded) -> list[tuple[str, Content]]:
 
 
 def _origin(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
-    """Return the recording, the station, and where the data come from; lines that do not apply are empty or None."""
+    """Return recording, station, operator, links, what an import states of its data, and the remark of the document.
+
+    Lines that do not apply are empty or None; without an operator it says "not stated".
+    """
     links = links_of(recorded)
     local = ", ".join(local_links(links))
     return [
@@ -235,7 +238,10 @@ def _approval(recorded: Recorded, formal: Formal) -> list[tuple[str, Content]]:
 
 
 def _equipment(formal: Formal) -> EquipmentView:
-    """Return the equipment that was used, and the names of those whose calibration is expired or has no due date."""
+    """Return the equipment that was used, and the names of what had expired or states neither due date nor why not.
+
+    It had expired if it was due before the date of measurement.
+    """
     rows = [
         [instrument.name, instrument.serial_number or _NOT_STATED, instrument.due or instrument.no_due or _NOT_STATED]
         for instrument in formal.equipment

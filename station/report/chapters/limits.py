@@ -98,8 +98,8 @@ def limits_by_gyro(lines: Sequence[LimitLine]) -> Mapping[str, list[tuple[LimitL
 def quantity_of(line: LimitLine) -> Quantity:
     """Return name, unit and place in the recording of a limit's quantity.
 
-    It is a state, its sigma, a state of an accelerometer, lost samples (in %), or the mean NIS. Those of accelerometers
-    and lost samples have no place.
+    It is a state, its sigma, a state of an accelerometer, lost samples (in %), the mean NIS, or the estimate that a
+    sensor lacks. Only states, sigmas and the mean NIS have a place; NIS and estimate have no unit.
     """
     if line.state is not None and line.unit is not None:
         unit = Unit(typographic(line.unit.unit), line.unit.factor)

@@ -29,7 +29,7 @@ class LiveView:
 def live_view(recorded: Recorded, calibration: Calibration, states: States) -> LiveView:
     """Return what a recording holds of its live filter: pictures if it ran, and the mean NIS if it is known.
 
-    Without it ``convergence`` is empty; ``nis`` is None if no innovations are stored.
+    Without it ``convergence`` is empty; ``nis`` is None if no innovations are stored, ``nis_mean`` empty if unknown.
     """
     ran = bool(recorded.courses)
     known = math.isfinite(calibration.nis_mean)

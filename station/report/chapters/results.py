@@ -75,7 +75,8 @@ def results_view(
 ) -> ResultsView:
     """Return the results of a calibration, with what an investigation added if there is one.
 
-    That is left out if the calibration has effects of a model itself. A summary is made only for several devices.
+    That is left out if the calibration has effects of a model itself. The summary has a row for each device, also for
+    a single one.
     """
     several = summary(recorded, standing)
     corrected = any(gyro.effects for gyro in calibration.gyros)
@@ -106,8 +107,8 @@ def summary(recorded: Recorded, standing: Standing) -> list[DeviceSummary]:
 def _device_summary(recorded: Recorded, standing: Standing, name: str, rows: Sequence[int]) -> DeviceSummary:
     """Return the summary of the device ``name``, whose gyros are ``rows`` of the calibration.
 
-    Its verdict is that of the run, "" if that has none.
-    If the run failed, it is PASS nevertheless when only limits of other devices are broken, and none of the run.
+    For each state it has the gyro with the largest value by size, with its row. Its verdict is that of the run, "" if
+    that has none; if the run failed, it is PASS nevertheless when only limits of other devices are broken.
     """
     assert recorded.calibration is not None
     gyros = recorded.calibration.gyros

@@ -74,7 +74,8 @@ class Unseen:
 def unseen_of(recorded: Recorded) -> Unseen | None:
     """Return which effects of the catalogue a run on a table shows and which not.
 
-    Effects that its calibration estimated are left out. None without table readings, steps, a calibration, or any turn.
+    Effects that its calibration estimated are left out. Those of the table count as budgeted if it states its
+    uncertainty. None without table readings, steps, a calibration, or any turn.
     """
     table, found = recorded.recording.table, recorded.calibration
     if table is None or not recorded.steps or found is None:
