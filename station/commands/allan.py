@@ -89,7 +89,7 @@ def _share(text: str) -> float:
 def _object(
     recording: str, by_source: dict[str, list[list[SensorNoise]]], notes: list[str], share: float
 ) -> dict[str, Any]:
-    """Return the noise of all sensors for --json, in SI, with the warnings about it.
+    """Return the noise of all sensors for --json, in SI, with the ``notes`` and the warnings about it.
 
     ``by_source`` has the sensors of each kind by source; ``share`` is the relative uncertainty to be shown.
     """

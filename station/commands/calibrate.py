@@ -152,9 +152,9 @@ def estimate(
     out, or None. With ``write`` the calibration is stored in the recording. Another file of the station gives an
     OtherFile.
 
-    A recording that cannot be estimated gives a result without estimate if its run was aborted, failed or was driven by
-    hand, and no model is given; else EstimatorError. UsageError for limits that cannot be read; RecordingError if the
-    file cannot be written to.
+    A recording that cannot be estimated gives a result without estimate if its run was aborted, in fault, failed or by
+    hand; else EstimatorError, as with a model if the recording can be read. UsageError for limits that cannot be read;
+    RecordingError if the file cannot be written to.
     """
     try:
         recording = read_recording(Path(name))
@@ -225,8 +225,8 @@ def _print_json(ends: Sequence[End]) -> int:
 def _print(ends: Sequence[End], *, in_lines: bool, details: bool) -> int:
     """Print the results, then repeatability and failures; return the worst exit code.
 
-    Results are printed in full or, ``in_lines``, as an overview. Repeated runs are those of a device with the same
-    script. Failures go to stderr.
+    Results are printed in full or, ``in_lines``, as an overview with the number of each outcome. Repeated runs are
+    those of ``_comparable``; how many of several are compared with none is said, too. Failures go to stderr.
     """
     judged = [(name, end) for name, end in ends if isinstance(end, Estimated)]
     if in_lines:

@@ -63,7 +63,7 @@ class ImuSamples:
 
 
 async def samples_on(opened: OpenBench) -> ImuSamples:
-    """Return nine seconds of the IMU's samples, at rest and then turning; errors of opening and reading are stored."""
+    """Return nine seconds of the IMU's samples, at rest, then turning, and the table's angles; stores its errors."""
     table, source = opened.table, opened.imus[0].source
     heard = ImuSamples(opened.imus[0].config)
 
@@ -208,7 +208,7 @@ async def _late(opened: OpenBench) -> str:
 
 
 async def _stopped(opened: OpenBench, how: str, at_s: float = 0.0) -> str:
-    """Stop axes by the table's method ``how`` at ``at_s`` (loop time) or later; return that one still turns, or ""."""
+    """Turn all axes, cancel a reading at ``at_s`` (loop time) or later, stop by ``how``; return if one turns, or ""."""
     table, loop = opened.table, asyncio.get_running_loop()
     for axis in opened.bench.table.gimbals:
         await table.jog(axis, _RATE_RPS, _RAMP_RPS2)

@@ -120,6 +120,7 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, str | None]
 def _export_all(arguments: argparse.Namespace, folder: Path) -> int:
     """Write every format that can hold the calibration as FOLDER/RECORDING-FORMAT.SUFFIX, and say why others cannot.
 
+    The name has no FORMAT where the suffix is the same. A file that exists is such a reason, unless --force is given.
     Return 0 if at least one was written, else 2. UsageError without a recording, or with --format or --output.
     """
     if arguments.recording is None:

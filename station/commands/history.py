@@ -142,7 +142,7 @@ def _print_valid(arguments: argparse.Namespace, folder: Path) -> int:
 
 
 async def _listed(folder: Path, quiet: bool) -> list[Entry]:
-    """Return the recordings of a folder, newest first.
+    """Return the recordings of a folder and its subfolders, newest first, unreadable ones included.
 
     Progress is shown while new ones are read, unless ``quiet``.
     """
@@ -161,7 +161,7 @@ async def _listed(folder: Path, quiet: bool) -> list[Entry]:
 def _chart(runs: Sequence[Entry]) -> ChartView:
     """Return control charts of runs of one script on one bench, at least one run, in the order given.
 
-    Failed runs set no limits.
+    Failed runs set no limits. Units are those of the last run.
     """
     counted = [not run.failed for run in runs]
     return ChartView(

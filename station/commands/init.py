@@ -76,7 +76,8 @@ def _check_place(path: Path, dialogue: Dialogue, force: bool) -> None:
 def _ask(dialogue: Dialogue, arguments: argparse.Namespace, path: Path) -> Data:
     """Return the bench from the answers: name, table, devices under test, devices of other kinds, and the rest.
 
-    Options state protocols and links beforehand. If nobody is asked, there are no devices beyond these.
+    Options state protocols and links beforehand; there is one device under test at least. If nobody is asked, there are
+    no devices beyond these, and all else is as proposed.
     """
     dialogue.say(sentence("init.begin"))
     folder = path.absolute().parent

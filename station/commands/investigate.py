@@ -97,7 +97,7 @@ def refused(reason: str, arguments: argparse.Namespace) -> dict[str, Any]:
 def _outputs(arguments: argparse.Namespace) -> tuple[Path | None, Path | None, Path | None]:
     """Return the paths of picture, results and script, None where not asked for, checked before the long work.
 
-    UsageError if one exists.
+    UsageError if one cannot be written, or if results or script exist; a picture that exists is overwritten.
     """
     picture, model, script = (
         Path(name) if name else None for name in (arguments.plot, arguments.output, arguments.next_script)

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 def command_report(arguments: argparse.Namespace) -> int:
     """Write a recording's report as HTML and, if asked for, PDF and digital certificate; print the result.
 
-    Return 0, or 2 if PDF or certificate could not be made: the HTML is written all the same. The document is entered
-    into the register of the folder before. UsageError for wrong options, files that exist, and a number that is taken.
+    Return 0, or 2 if PDF or certificate could not be made: the HTML is written all the same. Before, the document is
+    entered into the user's register and the list of its folder. UsageError for wrong options, files that exist, and a
+    number that is taken.
     """
     html, pdf, dcc = _outputs(arguments)
     keys = [Path(name) for name in (arguments.sign, arguments.certificate) if name]
@@ -92,9 +93,10 @@ def _recorded(arguments: argparse.Namespace) -> "Recorded":
 
 
 def _result_object(report: "Report", formal: "Formal", verdict: "Verdict | None") -> dict[str, Any]:
-    """Return the report's own statements for --json: title, number, outcome, hashes.
+    """Return the report's own statements for --json: title, numbers of it and of what it replaces, outcome, reason.
 
-    Outcome and reason are None without a verdict.
+    Also whether it is a certificate, whether the run was simulated, and the hashes. Outcome and reason are None without
+    a verdict.
     """
     return {
         "title": report.standing.title,
@@ -122,9 +124,10 @@ def _document(recorded: "Recorded", formal: "Formal", report: "Report") -> "Docu
 
 
 def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: bool) -> None:
-    """Print the verdict, unless it is None, and the states, unless there is no calibration.
+    """Print the verdict, unless it is None, and the states of the gyros, unless there is no calibration.
 
-    ``verdict`` is None for imported data. ``details`` adds all broken limits and where the sigmas come from.
+    ``verdict`` is None for what nobody judged, such as imported data. ``details`` adds all broken limits and what
+    ``print_calibration`` adds then.
     """
     from station.bench.units import Units
     from station.render.printing import print_calibration, print_verdict
@@ -141,7 +144,7 @@ def _print_result(recorded: "Recorded", verdict: "Verdict | None", *, details: b
 
 
 def _print_documents(report: "Report", html: Path, made: Sequence[str | None], steps: Sequence[str]) -> None:
-    """Print what was written, warnings, and the next ``steps``.
+    """Print title and number of the document, its warning if it has one, what was written, and the next ``steps``.
 
     ``made`` are the paths of PDF and digital certificate, None where missing.
     """

@@ -49,8 +49,9 @@ def command_run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     """Run a script on a bench into a recording, or drive by hand; print the result and return the exit code.
 
-    Wrong usage and devices that cannot be opened are printed, too. The program that the bench names is started after
-    the run; its failure is only a note.
+    Wrong usage and devices that cannot be opened are printed, too. For a run with a serial number, not hosted and not
+    as JSON, states that moved since the last one are printed. The program that the bench names is started after the
+    run; its failure is only a note.
     """
     try:
         bench = chosen_bench(arguments)

@@ -23,9 +23,9 @@ def print_check(bench: str, devices: Sequence[DeviceCheck]) -> None:
 
 
 def _shown(bench: str, checks: Sequence[DeviceCheck]) -> Iterator[Shown]:
-    """Yield the table of devices, then what is wrong, which drivers are experimental, or that every device answers.
+    """Yield the table of devices, what is wrong with each, which drivers are experimental, and that all devices answer.
 
-    That line is left out if anything is wrong.
+    The last line is left out if anything is wrong.
     """
     yield _devices(bench, checks), {}
     for device in checks:

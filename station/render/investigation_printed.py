@@ -42,7 +42,7 @@ def next_shown(investigation: InvestigationView, next_script: NextScript | None,
 
 
 def investigation_shown(investigation: InvestigationView, how: str, drive: str = "") -> list[Shown]:
-    """Return the lines and tables of an investigation.
+    """Return the lines and tables of an investigation: verdict, what to do next, suspects, residual, errors, remarks.
 
     ``how`` is the command that runs its next script, ``drive`` a line on that script, empty if there is none.
     """

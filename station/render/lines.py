@@ -30,7 +30,7 @@ def tell(text: str, stream: TextIO | None = None) -> None:
 
 
 def _width(stream: TextIO) -> int:
-    """Return the largest number of columns for a line; 0, no limit, if the stream is not a terminal."""
+    """Return the columns of a terminal, at most ``LINE_WIDTH``, also if unknown; 0, no limit, for any other stream."""
     if not stream.isatty():
         return 0
     try:

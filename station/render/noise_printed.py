@@ -19,7 +19,8 @@ _COLUMNS = 3  # sensors side by side in it: 80 characters hold no more
 def print_noise(noises: Sequence[SensorNoise], share: float) -> None:
     """Print the noise of sensors with a common unit, and the length to record to know it to ``share``.
 
-    Allan deviations, notes and warnings follow. There must be one sensor or more.
+    Allan deviations, notes and warnings follow; neighbouring sensors with equal averaging times share a table. There
+    must be one sensor or more.
     """
     unit, _ = noise_unit(noises[0].unit, 1)
     shown: list[Shown] = [

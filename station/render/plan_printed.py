@@ -22,8 +22,9 @@ from station.views.figures import clock_between, seconds_between, state_figures
 
 
 def print_plan(plan: Plan, console: Console, early_late: Plan | None = None, missed: Sequence[str] = ()) -> None:
-    """Print the plan: motion, sigmas of the states, smallest visible effects, effects that look alike, assumptions.
+    """Print the plan: verdict on the sigmas, motion, sigmas, states not shown, effects, notes, assumptions.
 
+    The notes are on constancy, and on what of the script was rounded or is too steep to be read.
     ``early_late`` is the plan of a script of the same length that turns each axis early and late, if one is offered.
     ``missed`` names what else than gyros misses its required sigmas.
     """

@@ -21,9 +21,9 @@ _HEADS = ["parameter", "value", "U (95 %)", "unit"]
 
 
 def print_pose_session(session: PoseSession) -> None:
-    """Print a calibration by poses: parameters, refused rests, then notes.
+    """Print a calibration by poses: parameters of the accelerometers, norm and gravity, refused rests, and notes.
 
-    Before these come gyros, board and the twelve states in the stated frame, where it has them.
+    Before the notes come gyros, board and the twelve states in the stated frame, where it has them.
     """
     result = session.accelerometer
     rows = [[own.name, own.value, own.u95, own.unit] for own in parameter_rows(result)]
@@ -45,7 +45,7 @@ def print_pose_session(session: PoseSession) -> None:
 
 
 def _gyro(session: PoseSession) -> list[Shown]:
-    """Return what is printed of gyros, refused turns included; nothing without them."""
+    """Return what is printed of gyros: parameters, a line on the turns, and refused turns; nothing without gyros."""
     result = session.gyro
     if result is None:
         return []
@@ -60,7 +60,7 @@ def _gyro(session: PoseSession) -> list[Shown]:
 
 
 def _board(session: PoseSession) -> list[Shown]:
-    """Return what is printed of the IMUs of a board; nothing for one device."""
+    """Return what is printed of the IMUs of a board: arms, distances with U, angles; nothing for one device."""
     board = session.board
     if board is None:
         return []

@@ -37,10 +37,10 @@ def print_result(
     details: bool,
     sources: "Sequence[SourceReport]" = (),
 ) -> None:
-    """Print the result of a run or recording: verdict, states in these units, accelerometers, and the next steps.
+    """Print the result of a run or recording: verdict, states in these units, accelerometers, next steps and its path.
 
-    With ``details`` also every broken limit, the origin of the sigmas, the noise, notes, and for each of ``sources``
-    its samples, losses and clock. ``calibration`` may be None.
+    With ``details`` also every broken limit, all of ``details_shown``, more of the accelerometers, and for each of
+    ``sources`` its samples, losses and clock. Without a ``calibration`` (None) there are no states.
     """
     print_verdict(verdict, details=details)
     if calibration is not None:
@@ -58,9 +58,9 @@ def print_verdict(verdict: Verdict, *, details: bool) -> None:
 
 
 def print_calibration(calibration: Calibration, verdict: Verdict, units: Units, *, details: bool) -> None:
-    """Print the states of every gyro with their sigmas, in these units; broken limits are red.
+    """Print what ``calibration_shown`` has: the states of every gyro with their sigmas in these units, NIS and noise.
 
-    With ``details`` also the origin of the sigmas.
+    Broken limits of ``verdict`` are red. With ``details`` also what ``details_shown`` has. No accelerometers.
     """
     print_all(stdout(), calibration_shown(calibration, verdict, units))
     if details:
@@ -87,7 +87,7 @@ def empty_object(reason: str, outcome: str | None = None, recording: str | None 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
     """Return the result for --json; without a calibration its lists and texts are empty and its numbers null or 0.
 
-    "accelerometers" is there only if some were calibrated.
+    "accelerometers" is there only if there are sources of some, calibrated or not. States and sigmas are in SI.
     """
     found = calibration or Calibration(gyros=(), nis_mean=math.nan, samples=0, lost=0, notes=())
     return {
@@ -118,7 +118,7 @@ def _parity_object(checks: Sequence[GyroParity]) -> dict[str, Any]:
 
 
 def _gyro_object(gyro: GyroCalibration) -> dict[str, Any]:
-    """Return a gyro for --json: states, sigmas, budget, noise, and its effects.
+    """Return a gyro for --json: name, source, states, sigmas ("sd", "sd_declared"), budget, noise and effects.
 
     ``effects`` has by effect and parameter a list of value, sd and unit; it is missing if there are none.
     """

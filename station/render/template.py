@@ -13,9 +13,10 @@ if TYPE_CHECKING:
 def rendered(package: str, name: str, values: Mapping[str, Any]) -> str:
     """Return the text of template ``name`` in the folder templates of a package.
 
-    In .html and .rich every text is escaped except markupsafe.Markup. None is printed as nothing; an unknown name
+    In .html, .xml and .rich every text is escaped except markupsafe.Markup. None is printed as nothing; an unknown name
     raises jinja2.UndefinedError. Templates also have the functions of ``station.views`` for values in readable units,
-    and ``state_figures``: the states in the usual units, unless ``values`` has others.
+    and ``state_figures``: the states in the usual units, unless ``values`` has others; ``state_units`` has of each
+    name, unit and factor.
     """
     from station.views.figures import STATE_FIGURES
 

@@ -17,8 +17,8 @@ _MICRO_G = 1e6 / GRAVITY_MPS2
 def print_force_findings(findings: Sequence[ForceFinding]) -> None:
     """Print for each source which effects its accelerometers need, and what is left open.
 
-    Tables of the effects and of the rms error before and after follow only where effects were added; then rivals,
-    suspects, and recordings and effects that were left out.
+    Tables of the effects and of the rms error before and after follow only where effects were added; then what
+    ``_remarks`` says.
     """
     for finding in findings:
         shown: list[Shown] = [(_verdict(finding), {"highlight": False})]
@@ -77,7 +77,10 @@ def _errors_table(finding: ForceFinding) -> Table:
 
 
 def _remarks(finding: ForceFinding) -> list[str]:
-    """Return sentences on what was left out, on rivals, suspects with what would show them, and effects dropped."""
+    """Return sentences: what was left out and why, rivals, suspects and what would show them, effects not added.
+
+    The latter fit the fitted runs but not those of verification. Rivals and suspects have their probabilities.
+    """
     lines = [f"left out: {escape(reason)}" for reason in finding.left_out.values()]
     for effect in finding.effects:
         rivals = ", ".join(f"{BY_NAME[name].words} ({chance:.0%})" for name, chance in effect.rivals.items())

@@ -18,8 +18,8 @@ from station.views.figures import number
 def print_planned_forces(planned: Sequence[PlannedForces], limits: ForceLimits) -> None:
     """Print the predicted sigmas of the accelerometers of each device beside what the bench requires, and effects.
 
-    Of effects it is the smallest size that a run would detect. A device without calibrated accelerometers has no
-    tables.
+    Of effects it is the smallest size that a run would detect. Effects that are not shown and notes follow as lines. A
+    device without calibrated accelerometers has these lines alone.
     """
     for one in planned:
         shown: list[Shown] = [(_sigmas(one, limits), {}), (_effects(one), {})] if one.calibration.accelerometers else []
@@ -69,7 +69,10 @@ def _effects(planned: PlannedForces) -> Table:
 
 
 def _not_shown(planned: PlannedForces) -> list[str]:
-    """Return a sentence on each effect that a run would not detect at its largest plausible size."""
+    """Return a sentence on each effect with a parameter that a run would not detect at its largest plausible size.
+
+    It says what would show the effect.
+    """
     lines = []
     for name, sd in planned.effects.items():
         effect = BY_NAME[name]

@@ -112,7 +112,7 @@ def _lines(calibration: ForceCalibration) -> list[str]:
 def _intrinsic_table(calibration: ForceCalibration) -> Table:
     """Return a row for each sensitivity, offset and angle, with standard deviation and unit.
 
-    The mounting does not change them.
+    Sensitivity and offset of an accelerometer stand together; the angles come last. The mounting changes none of them.
     """
     found = calibration.intrinsic
     rows = []

@@ -21,7 +21,7 @@ _NOT_REPRODUCED = (
 def gauge_shown(folder: str, studies: Sequence[GaugeView]) -> Iterator[Shown]:
     """Yield the studies of the runs in a folder, with an explanation of their columns.
 
-    A line says so if there is no run, or if too few devices were measured repeatedly.
+    A line says so if there is no run, if too few devices were measured repeatedly, or if runs lack operator or bench.
     """
     if not studies:
         yield line(f"no run in {escape(folder)} {_NO_RUN}")
@@ -39,7 +39,7 @@ def gauge_shown(folder: str, studies: Sequence[GaugeView]) -> Iterator[Shown]:
 
 
 def _title(view: GaugeView) -> str:
-    """Return the script and the numbers of runs, devices, operators and benches in a gauge study."""
+    """Return the script and the numbers of runs, devices, operators, benches and, if any, FAIL in a gauge study."""
     counts = [
         f"{_counted(view.runs, 'run')} of {_counted(view.devices, 'device')}",
         _counted(len(view.operators), "operator"),

@@ -26,8 +26,8 @@ _TEXTS: Mapping[str, Callable[[HistoryRow], str]] = {
 def recordings_shown(recordings: Sequence[HistoryRow], console: Console) -> list[Shown]:
     """Return the table of recordings and a line for each that moved.
 
-    Script and bench get a column if they differ among those that could be read. The bench is left out if the table
-    would be too wide for ``console``.
+    The columns are time, device, outcome and file. Script and bench get one before the file if they differ among those
+    that could be read. The bench is left out if the table would be too wide for ``console``.
     """
     columns = ["when", "device", "outcome"]
     read = [row for row in recordings if not row.wrong]

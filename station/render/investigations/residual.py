@@ -40,7 +40,7 @@ class _Compared:
 def residual_shown(residual: ResidualsView | None) -> Iterator[Shown]:
     """Yield the residual of the fitted recordings and, where it does not pass for noise, that of the verification run.
 
-    Nothing if there is no residual.
+    Each is a table and a line on whether gyros have it in common; a legend follows. Nothing if there is no residual.
     """
     if residual is None:
         return

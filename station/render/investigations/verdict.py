@@ -22,7 +22,10 @@ def verdict_sentences(investigation: InvestigationView) -> list[str]:
 
 
 def _added(added: AddedView, gyro_count: int) -> Iterator[str]:
-    """Yield an effect that was added, and below it its parameters and what speaks for it."""
+    """Yield an effect that was added, with its probability and the gyros that show it, and below it its parameters.
+
+    What it explains out of sample, and effects that would look the same, follow if there are any.
+    """
     likelihood = probability(added.probability)
     yield f"{_name(added)}, probability {likelihood}, shown by {_shown_by(added, gyro_count)}"
     for name, parameters in _by_gyro(added).items():
@@ -87,6 +90,7 @@ def _rival_size(rival: AddedView) -> str:
 
 
 def _unexplained(unexplained: UnexplainedView) -> str:
+    """Return how much of the residual is unexplained, what that depends on, and that the sigmas allow for it."""
     share = whole_percent(unexplained.share)
     part = f"{share} of the power of the residual depends on {unexplained.depends_on}"
     if unexplained.depends_on == COMMON_CAUSE:

@@ -34,9 +34,10 @@ _NEGLIGIBLE = 1e-3
 
 
 def details_shown(calibration: Calibration, units: Units) -> Iterator[Shown]:
-    """Yield the origin of the sigmas of a calibration, in these units, its noise, and notes.
+    """Yield budget and undeclared effects of a calibration, in these units, its noise, what it is valid for, and notes.
 
-    Parts that the calibration does not have are left out; the noise of a sample is always there.
+    The noise is that estimated, that of a sample and that at rest. Parts that the calibration does not have are left
+    out; the noise of a sample is always there.
     """
     figures = fitted_figures(units, calibration)
     budget = budget_of(calibration)
@@ -60,7 +61,10 @@ def details_shown(calibration: Calibration, units: Units) -> Iterator[Shown]:
 
 
 def _budget_table(budget: Mapping[str, Floats], figures: Sequence[StateUnit]) -> Table:
-    """Return a row for each line of the budget, in the units shown; negligible shares of a state as such."""
+    """Return a row for each line of the budget, "combined" included: rms over the gyros, in the units shown.
+
+    Negligible shares of a state are shown as such.
+    """
     heads = ["source", *(f"{figure.name} ({figure.unit})" for figure in figures)]
     table = rich_table("Uncertainty budget, rms over the gyros", heads, "lr")
     combined = budget["combined"].tolist()

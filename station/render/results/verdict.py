@@ -50,8 +50,9 @@ def closing_shown(steps: Sequence[str], recording: Path, *, more: bool) -> Itera
 def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Path) -> list[str]:
     """Return sentences, with commands, on what to do next after a verdict.
 
-    They depend on its outcome: repeat an aborted run, remedy broken limits or else investigate, write the report of a
-    run that passed. A passed run whose calibration does not prove constancy gets a plan for that, too.
+    They depend on its outcome: check and repeat a run that was aborted or in fault, remedy broken limits or else
+    investigate, write the report of a run that passed or has no limits. Such a run whose calibration does not prove
+    constancy gets a plan for that, too. After a run by hand the sentence says that nothing was judged.
     """
     if verdict.outcome in (Outcome.ABORTED, Outcome.FAULT):
         return ["`station check` tests every device; then repeat the run"]
@@ -69,8 +70,8 @@ def next_steps(verdict: Verdict, calibration: Calibration | None, recording: Pat
 def next_after_report(verdict: Verdict | None, recording: Path, joined: Sequence[str] = ()) -> list[str]:
     """Return sentences on what to do after a report; for a run that passed, how to export the calibration.
 
-    ``verdict`` is None for data that no run made, which count as passed. ``joined`` are the recordings with which it is
-    joined.
+    Others get those of ``next_steps``. ``verdict`` is None for data that no run made, which count as passed. ``joined``
+    are the recordings with which it is joined.
     """
     if verdict is not None and verdict.outcome not in (Outcome.PASS, Outcome.ESTIMATED):
         return next_steps(verdict, None, recording)
