@@ -39,11 +39,11 @@ def run_all(
 ) -> tuple[list[R | None], list[Failure]]:
     """Return ``work(item)`` for each item, in order (None where it failed), and the failures, named by ``name_of``.
 
-    An exception of ``work`` is the failure of its item only. ``work``, items and results must be picklable. They run in
-    ``workers`` processes (default: one per core; in this process if there is one worker or item), or on the cluster at
-    ``scheduler`` (tcp://host:port). The results are the same in each case to the last bit, if this process, too, has
-    one BLAS thread. Progress goes to stderr, under ``label``, unless ``quiet``. UsageError if there is no such cluster,
-    or plug-in files are in use with one.
+    Failures are in the order of the items. An exception of ``work`` is the failure of its item only. ``work``, items
+    and results must be picklable. They run in ``workers`` processes (default: one per core; in this process if there is
+    one worker or item), or on the cluster at ``scheduler`` (tcp://host:port). The results are the same in each case to
+    the last bit, if this process, too, has one BLAS thread. Progress goes to stderr, under ``label``, unless ``quiet``.
+    UsageError if there is no such cluster, or plug-in files are in use with one.
     """
     results: list[R | None] = [None] * len(items)
     reasons: dict[int, str] = {}

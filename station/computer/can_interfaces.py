@@ -33,8 +33,9 @@ def look_at_can_interface(
 ) -> Iterator[Finding]:
     """Yield what prevents or disturbs the use of a SocketCAN interface, such as can0; nothing if it is fine.
 
-    That is one finding at most: no name of an interface, `ip` missing, no such interface or not CAN, down, BUS-OFF, or
-    errors on the bus. ``ask`` returns its description as `ip` does, see ``ask_kernel``.
+    That is one finding, the first that applies: no name of an interface, `ip` missing or too slow, no such interface or
+    not CAN, down, BUS-OFF, or errors on the bus. All but the second and the last are ``wrong``. ``ask`` returns its
+    description as `ip` does, see ``ask_kernel``.
     """
     if not re.fullmatch(r"[\w.-]{1,15}", interface):
         yield Finding(interface, "is not the name of a network interface", "ip -brief link", wrong=True)

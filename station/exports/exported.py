@@ -91,9 +91,10 @@ class Exported:
 
 
 def exported_of(path: Path, devices: Sequence[str] = (), instance: int = 0, joined: Sequence[Path] = ()) -> Exported:
-    """Return what is exported from a recording: the gyros of ``devices``, or of all devices under test.
+    """Return what is exported from a recording: gyros and accelerometers of ``devices``, or of all devices under test.
 
-    It is in the axes of the device, however this was mounted on the table.
+    It is in the axes of the device, however this was mounted on the table. With it are the identity, the correction,
+    and the conditions of the calibration.
     ``instance`` is the number of the gyro in an autopilot. With ``joined``, recordings of the device in other
     mountings, it is the calibration of all of them, judged anew by the limits of ``path``. RecordingError if there is
     no calibration, ModelError or CompensationError for effects of another version, UsageError for a device that the

@@ -80,7 +80,7 @@ class Table(StrictTable):
         return {key.name: self.option(key, folder) for key in keys}
 
     def option(self, key: Key, folder: Path = Path(), list_length: int = 1) -> Any:
-        """Return the value of one key as declared; if it is left out its default, else None, or [] for tables.
+        """Take one key and return its value as declared; if it is left out its default, else None, or [] for tables.
 
         The table's error if it is invalid, or left out and required. ``list_length`` as for ``read``.
         """

@@ -125,7 +125,9 @@ class PaperStudy:
 def run_study(seeds: int, **where: Any) -> PaperStudy:
     """Run every case to the letter, and this station on seeds from 0 to below ``seeds``; those that fail are listed.
 
-    ``where`` goes to ``run_all``: scheduler, workers, quiet. UsageError if a case to the letter fails, or every seed.
+    The seeds have the noise of MEMS gyros; with the paper's noise this station runs once. Cramer-Rao bounds of both are
+    added. ``where`` goes to ``run_all``: scheduler, workers, quiet. UsageError if a case to the letter fails, or every
+    seed.
     """
     cases = [Letter(None), Letter(None, noisy=False), *(Letter(heading) for heading in HEADINGS_DEG)]
     letters, failed_letters = run_all(letter_states, cases, label="the paper's runs", **where)

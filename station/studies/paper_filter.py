@@ -31,8 +31,8 @@ def covariance_filter(
     """Run the paper's Kalman filter (eq. 8-13) on every sample: 4n states, n outputs, Joseph form.
 
     ``w_rps`` (N, 3) are body rates, ``y_rps`` (N, n) the outputs. ``prior_sd`` (4,) are the roots of P0 for [k, b, s_j,
-    s_k], ``noise_rps`` the root of R. Kept are each ``every``-th row and the last: states, and their covariance by
-    gyro.
+    s_k], ``noise_rps`` the root of R. The result has each ``every``-th row and the last: states (k, b, (1 - k) s_j,
+    (1 - k) s_k), their covariance by gyro, and the operations of all.
     """
     from filterpy.kalman import KalmanFilter  # 0.8 s of import: only where a filter runs
 

@@ -180,7 +180,8 @@ def paper_findings(study: PaperStudy) -> list[str]:
 def paper_object(study: PaperStudy) -> dict[str, Any]:
     """Return the results as --json prints them: the errors of the paper's method and of this station by gyro and state.
 
-    ``units`` has the unit of each state. The errors with the noise of MEMS gyros are means in %, by state alone.
+    ``units`` has the unit of each state. The errors with the noise of MEMS gyros are means in %, by state alone. With
+    them are the printed tables, the bounds, what is required, and the sentences of ``print_paper`` with details.
     """
     return {
         "study": "paper",

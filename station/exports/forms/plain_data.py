@@ -44,7 +44,7 @@ def write_yaml(exported: Exported) -> Written:
 
 
 def write_matlab(exported: Exported) -> Written:
-    """Return the same as a MAT-file of version 5: the struct ``calibration``, lists of structs as cells.
+    """Return what ``write_json`` has as a MAT-file of version 5: the struct ``calibration``, lists of structs as cells.
 
     What is null in JSON is left out, and keys become names that MATLAB allows. UsageError as ``write_json``.
     """
@@ -135,7 +135,7 @@ def _object(exported: Exported) -> dict[str, Any]:
     """Return the complete export as a JSON object; ``solution_h`` is null if the gyros do not span space.
 
     ``effects`` are those that a correction undoes, ``not_corrected`` has a line on each other. Keys on accelerometers
-    are there only if some were calibrated.
+    are there only if the calibration has sources of some, calibrated or not.
     """
     compensation = exported.compensation
     try:
@@ -173,7 +173,7 @@ def _object(exported: Exported) -> dict[str, Any]:
 
 
 def _forces(exported: Exported) -> dict[str, Any]:
-    """Return the part of the export about accelerometers, by key; empty if none were calibrated."""
+    """Return the part of the export about accelerometers, by key; empty if the calibration has no sources of some."""
     if not exported.forces:
         return {}
     return {"force_formula": _FORCE_FORMULA, "accelerometers": [_force(one) for one in exported.forces]}

@@ -106,7 +106,8 @@ def _forces(exported: Exported, called: str) -> tuple[HeldForces, dict[str, obje
 def _noise(exported: Exported) -> tuple[float, float]:
     """Return angle random walk in rad/s/rtHz and rate random walk in rad/s2/rtHz, rms over the gyros.
 
-    If the noise of any is unknown, the former is derived from the noise of a sample, and the latter is 0.
+    If the noise of any is unknown, the former is derived from the noise of a sample, NaN without a known sample rate,
+    and the latter is 0.
     """
     found = [gyro.noise.mean for gyro in exported.gyros if gyro.noise is not None]
     if len(found) == len(exported.gyros):
@@ -118,7 +119,8 @@ def _noise(exported: Exported) -> tuple[float, float]:
 def _force_noise(exported: Exported, correction: ForceCorrection) -> tuple[float, float]:
     """Return velocity random walk in m/s2/rtHz and acceleration random walk in m/s3/rtHz, rms over the accelerometers.
 
-    If the noise of any is unknown, the former is derived from the noise of a sample, and the latter is 0.
+    If the noise of any is unknown, the former is derived from the noise of a sample, NaN without a known sample rate,
+    and the latter is 0.
     """
     found = [one.noise.mean for one in correction.accelerometers if one.noise is not None]
     if len(found) == len(correction.accelerometers):

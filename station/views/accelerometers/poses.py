@@ -169,7 +169,7 @@ def rest_words(rest: PoseRest) -> str:
 
 
 def session_object(session: PoseSession, path: str) -> dict[str, Any]:
-    """Return a session for --json, in SI; numbers of parameters that are not shown are null.
+    """Return all of a session for --json, in SI: notes and refused files, too; null for parameters that are not shown.
 
     ``path`` is the file of the calibration. ``matrix`` is A in output = A f + bias, for a body whose x is the sense
     axis x, and y in the plane of x and y. That of the gyro is G in output = G w + bias for the same body. ``gyro`` and
