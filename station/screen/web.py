@@ -34,8 +34,8 @@ _POLICY = (
 def _guard(key: str, port: int) -> Any:
     """Return a middleware that refuses other hosts and origins (403), and addresses with another key (404).
 
-    Static files need no key. Allowed are this computer's own names with ``port``: pages of other sites reach the
-    loopback by names of theirs, and can open websockets.
+    Static files need no key. Allowed are this computer's own names with ``port``, and no origin at all: pages of other
+    sites reach the loopback by names of theirs, and can open websockets.
     """
     from aiohttp import web
 

@@ -44,7 +44,8 @@ class Archive:
 
         Both are in the order of their last change, newest first; ``unread`` counts the others that remain. New entries
         are indexed, except unreadable ones, which the next program tries again, and files that changed just now. HDF5
-        files that are not recordings, and files that are gone by then, are left out.
+        files that are not recordings, and files that are gone by then, are left out; folders that cannot be read are
+        unreadable entries.
         """
         from station.screen.archive import index  # with SQLite: not before the first picture
 

@@ -145,8 +145,9 @@ class ReadRecording:
 def series_of(texts: Mapping[str, str], gyros: Sequence[tuple[str, str]]) -> tuple[object, ...] | None:
     """Return what comparable runs have in common, in this order: serial number, bench, script, ``gyros``.
 
-    ``texts`` are attributes of the recording, ``gyros`` source and name of each. None if the run is compared with none:
-    no serial number, no calibration, driven by hand, or ended early.
+    ``texts`` are attributes of the recording by name ("device_serial", "station", "script", "outcome"), ``gyros``
+    source and name of each. None if the run is compared with none: no serial number, no calibration, driven by hand,
+    aborted or ended by a fault.
     """
     serial = texts.get("device_serial", "")
     if not serial or not gyros or texts.get("outcome") in ("MANUAL", "ABORTED", "FAULT"):

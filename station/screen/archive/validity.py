@@ -26,8 +26,8 @@ def validity_on(entries: Iterable[Entry], serial: str, day: date) -> Validity:
 
     It is the newest run up to that day that ended PASS, if no later one up to that day ended FAIL, and if the next
     calibration stated in the certificate form beside the recording was not due before that day. Runs that ended
-    otherwise or have no calibration do not count. With a reason the entry is the run that stands against it, None if
-    there is no run. UsageError if the form cannot be read.
+    otherwise or have no calibration do not count. Days are those of local time. With a reason the entry is the run that
+    stands against it, None if there is no run. UsageError if the form cannot be read.
     """
     judged = [e for e in entries if e.serial == serial and e.gyros and e.texts.get("outcome") in _JUDGED]
     earlier = [entry for entry in judged if _day_of(entry) <= day]

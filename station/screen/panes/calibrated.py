@@ -11,7 +11,7 @@ from station.views.figures import figures_from, number
 
 
 def calibrated_text(recording: ReadRecording) -> Text:
-    """Return the states with their sigmas, exceeded limits marked; NIS, samples and noise if the recording has them."""
+    """Return, below a heading, the states with their sigmas, exceeded ones in red; NIS, samples and noise if known."""
     exceeded = frozenset(
         StateCell(gyro=limit.gyro, state=limit.state, of_sigma=limit.of_sigma) for limit in recording.broken
     )

@@ -42,7 +42,7 @@ class StartView:
 
 
 def ready_text(view: StartView) -> Text:
-    """Return what stands against a start, a line each, or that nothing is missing.
+    """Return a heading and what stands against a start, a line each, or that nothing is missing.
 
     A mounted device is announced above, as its run starts automatically. Sigmas that the script cannot reach are a note
     below and no obstacle, but it does not say then that nothing is missing.

@@ -108,7 +108,7 @@ def _table(limits: Sequence[Exceeded]) -> list[Text]:
 
 
 def record_text(recording: ReadRecording) -> Text:
-    """Return the record of a recording: what was excluded, notes, and events with their instants in s.
+    """Return, below a heading, the record: what was excluded, notes, and events with their instants in s.
 
     All reasons, or exceeded limits, come first if there are more than the four that the verdict shows.
     """

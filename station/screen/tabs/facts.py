@@ -47,9 +47,9 @@ class FactsDialog(ChooseDialog):
 async def fill_in(app: Any, recording: ReadRecording) -> None:
     """Let the operator edit facts, named as "customer.name" or "equipment.0.due", until they are stored or given up.
 
-    They are stored beside the recording and, if that is possible, as the form of the bench. Nothing is stored while one
-    is wrong: that field is asked for next. Facts that cannot be read or stored are reported. Leaving with changes has
-    to be confirmed.
+    A fact begins as the first of its origins has it; lists are not mixed. They are stored beside the recording and, if
+    that is possible, as the form of the bench. Nothing is stored while one is wrong: that field is asked for next.
+    Facts that cannot be read or stored are reported. Leaving with changes has to be confirmed.
     """
     try:
         recorded, files, sources = await asyncio.to_thread(_stated, recording)

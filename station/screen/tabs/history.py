@@ -191,7 +191,7 @@ class HistoryScreen(StationScreen):
 
 
 def _cells(entry: Entry) -> list[Text]:
-    """Return the cells of an entry, one for each of ``_COLUMNS``.
+    """Return the cells of an entry: date, device, script, outcome, operator, who accepted it, and file.
 
     An unreadable one has UNREADABLE as outcome and dashes, except for date and file.
     """

@@ -89,7 +89,8 @@ class TrayScreen(StationScreen):
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Add a scanned device to the tray, once for each script; report items that are there or cannot be stored.
 
-        Enter in the field for scripts only moves the focus to the scan.
+        Scripts are separated by commas; an empty one is the built-in script. Enter in the field for scripts only moves
+        the focus to the scan.
         """
         scan, tray = self.query_one("#scan", Input), self.station.tray
         self.set_focus(scan)
