@@ -95,8 +95,8 @@ class _Driver:
 def _close(loop: Loop, scripts: Sequence[tuple[str, Script]], driver: _Driver) -> None:
     """Drive the first scripts, then investigate and drive the next script, again and again.
 
-    It ends when the matter is settled, the time is used up, or a run is aborted or in fault. The loop gets the runs,
-    the rounds and, except after such a run, why it ended.
+    It ends when nothing more is to be driven, see ``_why_ended``, or a run is aborted or in fault. The loop gets the
+    runs, the rounds and, except after such a run, why it ended.
     """
     for purpose, script in scripts:
         if not driver.drive(purpose, script):
@@ -166,7 +166,7 @@ def _folder(name: str | None) -> Path:
 
 
 def _report(loop: Loop, as_json: bool) -> int:
-    """Write the investigation, print the result, and return its exit code."""
+    """Write the last investigation into the loop's folder, print the result, and return its finding's exit code."""
     found, result = loop.rounds[-1].investigation, loop_object(loop)
     write_investigation(loop.folder / "investigation.h5", found, result)
     if as_json:

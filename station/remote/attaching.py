@@ -87,7 +87,7 @@ def of_this_user(connection: socket.socket) -> bool:
 def running_sessions() -> list[Path]:
     """Return the sockets of this user's running sessions, newest first; sockets of ended ones are removed.
 
-    Folders that are not this user's alone are skipped.
+    One that does not answer in time counts as running. Folders that are not this user's alone are skipped.
     """
     found = []
     for folder in _places():

@@ -58,7 +58,10 @@ def _shown_by(added: AddedView, gyro_count: int) -> str:
 
 
 def _by_gyro(added: AddedView) -> Mapping[str, list[str]]:
-    """Return the parameters as text, by the gyro that has them to itself, or by the name of what all share."""
+    """Return texts on the parameters: of each gyro, by its name, name and value of its own; of a shared one the value.
+
+    A shared one is by the name of the parameter.
+    """
     found: dict[str, list[str]] = {}
     for name, value in added.parameters.items():
         gyro = next((gyro for gyro in added.gyros if name.startswith(f"{gyro} ")), None)

@@ -101,7 +101,10 @@ def _listed(folder: Path) -> Iterator[Document]:
 
 
 def _add(document: Document, folder: Path) -> None:
-    """Append a document to the list in a folder unless it is there; ignored if the folder cannot be written to."""
+    """Append a document to the list in a folder unless one of its number and data is there.
+
+    Nothing happens if the folder cannot be written to, or the list is a link.
+    """
     known = {(one.number, one.data_sha256) for one in _listed(folder)}
     if (document.number, document.data_sha256) in known:
         return

@@ -213,8 +213,9 @@ def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
 
 
 def _gyro_object(result: GyroTurnCalibration) -> dict[str, Any]:
-    """Return calibrated gyros for JSON, with the turns that were refused.
+    """Return calibrated gyros for JSON, with the number of turns used, and those that were refused with the reason.
 
+    With them are the rms angles by which a turn misses gravity, before and after the calibration, in rad.
     Covariance and matrix are None if the turns did not show all parameters.
     """
     complete = bool(result.shown.all())
