@@ -22,7 +22,7 @@ from station.views.json_values import json_object
 
 
 def command_join(arguments: argparse.Namespace, names: Sequence[str]) -> int:
-    """Calibrate the one device of all recordings together, print the result, and return its exit code.
+    """Calibrate the one device of all recordings together, print result and mounting errors; return its exit code.
 
     It is judged by the limits of --bench, else those of the first recording. Recordings that cannot be joined are
     refused with a message; UsageError for those of two devices, of a run that did not end, or one given twice, and for

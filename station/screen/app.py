@@ -132,8 +132,8 @@ class StationApp(App[None]):
     def action_stop(self) -> None:
         """Bring the table to rest at once, without any question.
 
-        A run about to start, also that of a mounted device, is cancelled, and the operator told. A shown session is
-        stopped if active, or told to be out of reach; if there is none and the bar is about none, all others are.
+        A run about to start, also that of a mounted device, is cancelled, and the operator told. An active session that
+        is shown is stopped, or reported as out of reach. Without one, if the bar is about none, all others are stopped.
         """
         sent, self._told_by_key = self._told_by_key, False
         for_one = sent or self._run_on_bar is not None

@@ -30,10 +30,10 @@ DEFAULT_FILE = "improved.toml"
 
 
 def improve(arguments: argparse.Namespace, bench: Bench, script: Script) -> int:
-    """Search a better script than this one, write it and print what it reaches; return 0.
+    """Search a better script than this one, write it to --output or a free file, print what it reaches; return 0.
 
     Return 1, with the reason, if there is none: the sigmas cannot be reached, or, on a bench with accelerometers, the
-    given script is better already. UsageError for wrong options or an existing file, ScriptError if the found script
+    given script is as good or better. UsageError for wrong options or an existing file, ScriptError if the found script
     exceeds the travel of an axis.
     """
     began_s = time.perf_counter()

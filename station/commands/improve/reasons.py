@@ -33,7 +33,8 @@ _DECIDES = 0.99  # share of its requirement from which on a sigma decides how lo
 def unreached_gyros_text(search: Search, bench: Bench, wanted: Wanted, gyros: tuple[tuple[str, str], ...]) -> str:
     """Return why no script was found: the time is too short, or which sigmas cannot be reached and what limits them.
 
-    ``gyros`` are device and name of each; the cause is the motion, the table or the noise.
+    It is always the time if one is given. ``gyros`` are device and name of each, of which names are used; the cause is
+    the motion, the table or the noise.
     """
     if wanted.total_s is not None:
         return f"{wanted.total_s:g} s is too short for the rests and a turn about each axis. Allow more time"

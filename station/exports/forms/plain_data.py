@@ -109,7 +109,8 @@ def _line(exported: Exported, i: int, gyro: GyroCalibration) -> dict[str, str]:
 def _force_line(force: ForceCalibration, place: int, row: Floats) -> dict[str, str]:
     """Return the values of accelerometer number ``place`` as texts by heading; ``row`` (3,) is its sensitivity.
 
-    Columns of places, delay and effects are left out if they are not known.
+    They are names, axes, sensitivity, states, place, noise, delay and effects, with sigmas. Columns of places, delay
+    and effects are left out if they are not known. UsageError for a number that is not finite.
     """
     one = force.accelerometers[place]
     values: dict[str, float] = {}

@@ -85,7 +85,10 @@ def _row(line: LimitLine | None, line_of_u: LimitLine | None, *, guarded: bool) 
 
 
 def limits_by_gyro(lines: Sequence[LimitLine]) -> Mapping[str, list[tuple[LimitLine | None, LimitLine | None]]]:
-    """Return by gyro, for each quantity, its limit and that of its standard uncertainty; None where there is none."""
+    """Return by gyro, for each quantity, its limit and that of its standard uncertainty; None where there is none.
+
+    Accelerometers count as gyros here, and what concerns all is by the name "all".
+    """
     quantities: dict[tuple[str, str, str], dict[bool, LimitLine]] = {}
     for line in lines:
         quantities.setdefault((line.gyro, line.what, line.note), {})[line.of_u] = line

@@ -139,9 +139,9 @@ def effect_rows(calibration: ForceCalibration) -> list[EffectRow]:
 def rows_of_effect(effect: ForceEffect, values: Floats, sds: Floats, about: str = "") -> list[EffectRow]:
     """Return a row for each parameter of an effect, of values (a, p) and standard deviations (a, p) in SI.
 
-    a is the number of accelerometers, p that of parameters. A row has a values, still in SI, and the unit and digits to
-    show them with, as its standard deviations deserve. ``about`` says at which temperature or instant the effect is
-    zero, and is added to the names unless empty.
+    a is the number of accelerometers, p that of parameters. A row has the values and standard deviations of all
+    accelerometers, still in SI, and the unit and digits to show them with. ``about`` says at which temperature or
+    instant the effect is zero, and is added to the names unless empty.
     """
     name = effect.name.replace("_", " ") + (f" ({about})" if about else "")
     rows = []
