@@ -315,8 +315,9 @@ def introduction(
 ) -> dict[str, Any]:
     """Return the greeting's description of a bench and its run as JSON values; times in s, limits in SI, null for none.
 
-    ``bench_file`` is the path of the bench, None without one; ``gyros`` are the names of all gyros. Paths become
-    absolute.
+    That is bench, script with durations and steps, recording, gyros, axes, and the limits of the bench and of the
+    "table". ``bench_file`` is the path of the bench, None without one; ``gyros`` are the names of all gyros. Paths
+    become absolute.
     """
     steps = [_step_object(timed) for timed in script.timeline()]
     found: dict[str, Any] = json_object(
@@ -340,7 +341,7 @@ def introduction(
 
 
 def _step_object(timed: Timed) -> dict[str, Any]:
-    """Return the greeting's description of a step: its earliest times in s, and axis and end in rad of its last turn.
+    """Return the greeting's description of a step: label, earliest times in s, axis and end in rad of its last turn.
 
     Without a turn these are null and 0.
     """

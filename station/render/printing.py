@@ -85,9 +85,10 @@ def empty_object(reason: str, outcome: str | None = None, recording: str | None 
 
 
 def result_object(verdict: Verdict, recording: str, calibration: Calibration | None) -> dict[str, Any]:
-    """Return the result for --json; without a calibration its lists and texts are empty and its numbers null or 0.
+    """Return the result for --json: verdict, recording, gyros as ``_gyro_object``, NIS, samples, notes and checks.
 
-    "accelerometers" is there only if there are sources of some, calibrated or not. States and sigmas are in SI.
+    Without a calibration its lists and texts are empty and its numbers null or 0. "accelerometers" is there only if
+    there are sources of some, calibrated or not. States and sigmas are in SI.
     """
     found = calibration or Calibration(gyros=(), nis_mean=math.nan, samples=0, lost=0, notes=())
     return {

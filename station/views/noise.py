@@ -60,6 +60,7 @@ def lengths_s(noise: SensorNoise, share: float) -> tuple[float, ...]:
 def noise_object(noise: SensorNoise, share: float) -> dict[str, Any]:
     """Return the noise of a sensor as --json prints it, in SI; null for a recording length of more than three years.
 
+    That is name, unit, length of the rests, the terms by their names, the Allan curve, and where the terms hold or not.
     ``share`` is the relative uncertainty, between 0 and 1, for which the length to record is given with each term.
     """
     curve = noise.curve

@@ -87,9 +87,9 @@ def _refuse(reason: str, as_json: bool) -> int:
 
 
 def improved_object(improved: Improved, path: Path) -> dict[str, Any]:
-    """Return the script found for --json, in SI; null where nothing was required.
+    """Return the script found for --json, in SI: file, durations, steps, search, and sigmas required and reached.
 
-    Accelerometers are left out for a bench that has none.
+    null where nothing was required. Accelerometers are left out for a bench that has none.
     """
     script, before, found, wanted = improved.found.script, improved.before, improved.found, improved.wanted
     result = {

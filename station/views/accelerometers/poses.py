@@ -191,9 +191,10 @@ def session_object(session: PoseSession, path: str) -> dict[str, Any]:
 
 
 def _accelerometer_object(result: PoseCalibration) -> dict[str, Any]:
-    """Return a calibrated triad for JSON, its rests included.
+    """Return a calibrated triad for JSON: parameters with covariance, matrix, gravity with its source, and all rests.
 
-    Covariance and matrix are None if the rests did not show all parameters.
+    With them are unit, degrees of freedom, and the scatter of the norm before and after, and between rests. Covariance
+    and matrix are None if the rests did not show all parameters.
     """
     complete = bool(result.shown.all())
     return {
@@ -240,7 +241,10 @@ def _board_object(board: Board) -> dict[str, Any]:
 
 
 def _imu_object(imu: BoardImu) -> dict[str, Any]:
-    """Return an IMU of a board for JSON, in SI: place and rotation (3, 3) against the first one, both calibrations."""
+    """Return an IMU of a board for JSON, in SI: place and rotation (3, 3) against the first one, both calibrations.
+
+    The place has its covariance and its distance with U, the rotation its standard deviation.
+    """
     return {
         "name": imu.name,
         "arm_m": imu.arm_m.tolist(),
@@ -268,7 +272,7 @@ def _parameter_object(parameter: Parameter) -> dict[str, Any]:
 
 
 def _rest_object(rest: PoseRest) -> dict[str, Any]:
-    """Return a rest: its time in the file, mean output, and length of the force before and after the calibration.
+    """Return a rest: number, file, time, mean output, length of the force before and after the calibration, and sigma.
 
     ``refused`` is why it was not used, "" if it was. The time is None if only means were given, ``sd_mps2`` if the rest
     was not used.
