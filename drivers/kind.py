@@ -55,7 +55,7 @@ async def make_safe(
     Each call may take 15 s; a failure is a DeviceError or a time-out, other exceptions pass through. A driver without
     ``make_safe`` is left alone, which is no trouble, but not ``seen`` either. Limits are multiplied by ``time_scale``,
     how fast the loop's clock runs. The first failure is passed to ``unconfirmed``; that of the last call is in the
-    result. ``untrue_readings`` is not used here.
+    result, which is ``seen`` if that call did not fail. ``untrue_readings`` is not used here.
     """
     if not isinstance(device, MadeSafe):
         return SafeState(trouble="", seen=False)

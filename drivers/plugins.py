@@ -52,7 +52,7 @@ def load_files(paths: Iterable[Path] = ()) -> list[ModuleType]:
 
 
 def load_file(path: Path) -> ModuleType:
-    """Import a Python file; return the module loaded before if its text is unchanged.
+    """Import a Python file; return the module loaded before if its text is unchanged, else execute it anew.
 
     A bench and its script may name the same file: both must get the same objects. PluginError if it is missing, not a
     regular file, not a Python file, or raises any exception.
@@ -71,7 +71,8 @@ def load_file(path: Path) -> ModuleType:
     def run() -> ModuleType:
         """Execute the file as module ``name`` and return it, with its text noted, by which a change is seen later.
 
-        ImportError if it is not a Python file.
+        The module is in ``sys.modules`` from before that, in place of an earlier one. ImportError if it is not a Python
+        file.
         """
         spec = spec_from_file_location(name, path)
         if spec is None or spec.loader is None:
@@ -181,8 +182,8 @@ class Registry(Mapping[str, T]):
         """Return this registry with the records defined in ``modules`` added; PluginError if one has the name of
         another.
 
-        If ``kind`` is given, records with another ``kind`` are left out. This registry stays as it is. That an
-        installed one has the name shows only when it is looked up.
+        If ``kind`` is given, records with another ``kind`` are left out, those without any are not. This registry stays
+        as it is. That an installed one has the name shows only when it is looked up.
         """
         own = dict(self._own)
         for record in (record for module in modules for record in records_of(module, self._kind)):
@@ -213,7 +214,10 @@ class Registry(Mapping[str, T]):
         return record
 
     def tried(self) -> dict[str, T | PluginError]:
-        """Return each record by name, or the PluginError of one that cannot be used."""
+        """Return each record by name, or the PluginError of one that cannot be used.
+
+        An exception in importing a built-in one passes through.
+        """
         found: dict[str, T | PluginError] = {}
         for name in self:
             try:

@@ -131,7 +131,10 @@ class HostFit:
         return self._alignment
 
     def _aligned(self, fitted: _Line) -> Alignment:
-        """Return the alignment at the newest sample, from the line in use and the uncertainties of ``fitted``."""
+        """Return the alignment at the newest sample, from the line in use and the uncertainties of ``fitted``.
+
+        The jitter is that of the last fit. Nothing changes.
+        """
         return Alignment(
             offset_s=(self._origin_ns or 0) * 1e-9 + self._line(self._seen_s),
             drift_ppm=self._slope * 1e6,
@@ -153,7 +156,7 @@ class HostFit:
         one second. While there are fewer than three buckets, an arrival that is earlier than the line pulls the line
         down at once; after that each finished bucket triggers a new fit. ``trusted`` (n,) marks samples whose device
         time is certain: the earliest arrival of a bucket that has any is taken from these. ``alignment`` is set from
-        the first fit on.
+        the first fit on, and each call brings it up to the newest sample.
         """
         excess = self.excess_of(device_s, arrival_ns)
         if not self._started:
@@ -231,12 +234,12 @@ class HostFit:
 
     def _fit(self, now_s: float) -> None:
         """Fit lines to the earliest and to the mean arrivals of all buckets, and steer the line in use to the better
-        one.
+        one, which is kept in ``_fitted``.
 
-        The line of earliest arrivals is the default. The mean takes over, at a constant distance, once its uncertainty
-        at ``now_s`` (device time of the newest sample) is less than half the other's, and gives way again once the
-        other's is less than half of its. The correction is spread over 3 s (0.5 s during the first ten buckets), but
-        made at no less than 1 ms/s and no more than 20 ms/s.
+        The line of earliest arrivals, lowered by their scatter, is the default. The mean takes over, at a constant
+        distance, once its uncertainty at ``now_s`` (device time of the newest sample) is less than half the other's,
+        and gives way again once the other's is less than half of its. The correction is spread over 3 s (0.5 s during
+        the first ten buckets), but made at no less than 1 ms/s and no more than 20 ms/s.
         """
         mean = _line_through([b.mean for b in self._buckets], self.most_drift)
         # The earliest of n cannot be trusted to scatter less than jitter / n: polls in step with samples seem to.

@@ -84,7 +84,7 @@ class Lateness:
 
     @property
     def hidden_drift(self) -> float:
-        """Largest drift to assume where jitter may hide losses, which look like drift; else 0.
+        """Largest drift (s/s) to assume where jitter may hide losses, which look like drift; else 0.
 
         0 as well while there are fewer than 100 pairs of neighbouring samples that waited for no other.
         """
@@ -130,7 +130,8 @@ class Lateness:
         ``device_s`` and ``excess`` (n,) in s; of both only the samples marked in ``unqueued`` (n,), which waited for no
         other, enter, thinned out at high rates. ``drifted_s`` is the part of the excess due to clock drift at the last
         sample, ``drift`` its growth per second. Enough are 100 samples in all, and since the last time those of 2 s or
-        a quarter of all in memory.
+        a quarter of all in memory. Every call updates how many samples wait for others and how far neighbours are late
+        together, both with more weight on recent ones.
         """
         keep = 0.5 ** (len(unqueued) * self._period_s / _HALF_LIFE_S)
         self._own, self._all = keep * self._own + float(unqueued.sum()), keep * self._all + len(unqueued)
@@ -181,7 +182,7 @@ class Lateness:
 
         A cost is the negative log-likelihood by the histogram, limited on both sides and scaled down if neighbours are
         late together. Rows that are not marked in ``unqueued`` (n,) waited for another sample: they cost more than the
-        least only where they are too early.
+        least only where they are too early. The costs mean nothing before ``guess`` or ``add`` has made a histogram.
         """
         likeliest = self._first + (int(self._costs.argmin()) + 0.5) * self._width
         excess = np.where(unqueued[:, None] | (excess < likeliest), excess, likeliest)
@@ -207,7 +208,8 @@ class Lateness:
     def most_lost(self, excess: Floats) -> int:
         """Return how many samples at most can have been lost before the last of ``excess`` (n,) in s; 1 if it is empty.
 
-        ``excess`` is of samples that waited for no other; the limit follows from the median of the newest of them.
+        ``excess`` is of samples that waited for no other; the limit follows from the median of the newest of them, with
+        two in reserve: it is at least 2.
         """
         last = excess[-max(round(self.hold * self._share / 2), 8) :]
         if not len(last):

@@ -40,11 +40,11 @@ class CounterClock:
         """Return which samples are new, as flags (n,), and the times in ns of the new ones, in their order.
 
         ``counter`` (n,) are the device's counts, ``arrival_ns`` (n,) the arrivals; both results are empty if they are.
-        Repeated counters are counted and dropped, missing ones counted as lost, samples that come 2 periods and 50 ms
-        too late counted as late. Gaps longer than the counter's wrap are resolved by the arrival of the last sample,
-        which waited least. A count that continues without a gap may have missed a whole wrap, or its sender is late:
-        where arrivals jitter, a loss is counted only if the lateness persists. If the last sample comes 0.1 s or more
-        before its time, the clock restarts.
+        Counters not above all before are dropped and counted as repeated, missing ones counted as lost, samples that
+        come 2 periods and 50 ms too late counted as late; the clock fit is updated. Gaps longer than the counter's wrap
+        are resolved by the arrival of the last sample, which waited least. A count that continues without a gap may
+        have missed a whole wrap, or its sender is late: where arrivals jitter, a loss is counted only if the lateness
+        persists. If the last sample comes 0.1 s or more before its time, the clock restarts.
         """
         if not len(counter):
             return np.zeros(0, dtype=np.bool_), np.empty(0, dtype=np.int64)
@@ -128,7 +128,7 @@ class CounterClock:
         ``counter`` (n,) is continued from the last count, or from its own first value after a restart. A step back by
         less than two samples, seen as one just short of a whole wrap, counts as backwards. Whole wraps are added where
         ``last_arrival_ns``, the arrival of the last sample, shows them; if all steps are even, only if it shows them
-        clearly.
+        clearly. Nothing is counted or remembered.
         """
         if self._last < 0 or self._last_arrival_ns is None:
             before = start = int(counter[0])

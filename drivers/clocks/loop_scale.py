@@ -21,7 +21,7 @@ def call_from_thread(loop: asyncio.AbstractEventLoop, function: Callable[..., No
 
 
 def settle(future: asyncio.Future[Any], result: Any) -> None:
-    """Set the result of a future, or its exception if ``result`` is one; do nothing if the future is done already."""
+    """Set the result of a future, or its exception if ``result`` is an ``Exception``; do nothing if it is done."""
     if future.done():
         return
     if isinstance(result, Exception):

@@ -58,8 +58,8 @@ class RegularClock:
         self._begin()
 
     def _begin(self) -> None:
-        """Forget the clock fit, the lateness and the place in the rhythm; held samples and the last time given are
-        kept.
+        """Forget the clock fit, the lateness and the place in the rhythm; held samples, counts and the last time given
+        are kept.
         """
         self._fit = HostFit()
         self._lateness = Lateness(self._period_s)
@@ -148,7 +148,8 @@ class RegularClock:
         """Search for lost and doubled samples among ``excess`` (n,) in s; ``unqueued`` marks samples that waited for no
         other.
 
-        While no lateness has been learned, a first search gives a better guess of it, and a second search uses that.
+        While no lateness has been learned, a first search gives a better guess of it, and a second search uses that;
+        the guess replaces the present lateness.
         """
         equal = self._equal()
         if not self._lateness.learned:
@@ -224,10 +225,10 @@ class RegularClock:
         """Return the places of the held samples that can be timed, which places are certain, and which samples to keep.
 
         ``arrival`` (n,) in ns and ``unqueued`` (n,), samples that waited for no other, are of all held samples. Flags
-        ``kept`` (m,) are of the m oldest of them; those not marked are doubled ones. Places, in periods, and their
-        certainty are of the kept ones. All three are empty while later samples are needed. Otherwise the rhythm moves
-        on past the m samples, and repeats are counted. If the last samples came in time, no search is made. ``certain``
-        decides now, even without a steady lateness; ``flush`` leaves nothing held.
+        ``kept`` (m,) are of the m oldest of them; those not marked are doubled ones. Places, in periods and rising, and
+        their certainty are of the kept ones. All three are empty while later samples are needed. Otherwise the rhythm
+        moves on past the m samples, and repeats are counted. If the last samples came in time, no search is made.
+        ``certain`` decides now, even without a steady lateness; ``flush`` leaves nothing held.
         """
         place = self._next + np.arange(len(arrival), dtype=np.float64)
         device_s = place * self._period_s

@@ -83,7 +83,8 @@ def regular_block(
 def block_of(t_ns: Stamps, arrival_ns: Stamps, values: Floats, gyros: int, counter: Stamps | None = None) -> ImuBlock:
     """Return a block from rows of values (n, k): rates of the gyros, temperature, then three accelerations if present.
 
-    ``t_ns``, ``arrival_ns`` and ``counter`` (n,) are taken over as they are; the block has views of ``values``.
+    ``t_ns``, ``arrival_ns`` and ``counter`` (n,) are taken over as they are; the block has views of ``values``. Its
+    accelerations are None if the rows have none.
     """
     accel = values[:, gyros + 1 :] if values.shape[1] > gyros + 1 else None
     return ImuBlock(

@@ -143,9 +143,9 @@ class SocketcandBus(can.BusABC):
     def frames(self, timeout: float | None) -> list[Raw]:
         """Return (identifier, whether it has 29 bits, data) of the frames received; may be empty.
 
-        Waits up to ``timeout`` s (None: without limit) for the first bytes; if they complete no frame, the list is
-        empty. Other elements are dropped; damaged frames are counted in ``malformed``. CanOperationError if the
-        connection ends.
+        Frames that came while the bus was opened are returned first, at once. Waits up to ``timeout`` s (None: without
+        limit) for the first bytes; if they complete no frame, the list is empty. Other elements are dropped; damaged
+        frames are counted in ``malformed``. CanOperationError if the connection ends.
         """
         found: list[Raw] = []
         early, self._early = self._early, []

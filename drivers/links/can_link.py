@@ -90,7 +90,7 @@ class CanLink:
 
     async def receive(self) -> list[Frame]:
         """Return the frames since the last call, waiting for the first; LinkLost once the bus is gone and no frame is
-        left.
+        left, or if the link is opened anew meanwhile.
         """
         opening = self._openings
         while not self._frames:

@@ -56,7 +56,8 @@ class AceinnaImu(CanImu):
     async def identify(self) -> Identity:
         """Ask for software version, NAME and settings; whatever is not answered stays empty.
 
-        A question is given up after 0.4 s. The settings, filters and orientation in hex, are asked for only if the NAME
+        The NAME gives the model (its manufacturer and function) and the serial number (its identity). A question is
+        given up after 0.4 s. The settings, filters and orientation in hex, are asked for only if the NAME
         was answered, and left empty if one of them is missing. Samples that arrive meanwhile are dropped. LinkLost if
         the bus is gone.
         """
@@ -95,7 +96,7 @@ class AceinnaImu(CanImu):
         time.
 
         Requests are written in Aceinna's way, then in the standard's, with 0.2 s for each; the way that was answered is
-        used from then on.
+        used from then on. LinkLost if the bus is gone.
         """
         for standard in self._styles:
             self._link.send(aceinna.request(group, self._peer, _OWN_ADDRESS, standard=standard))

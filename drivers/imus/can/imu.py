@@ -71,7 +71,7 @@ class CanSource:
 
 
 def load_dbc(device: str, dbc: Path) -> Any:
-    """Return cantools' database of a DBC file; DeviceError if it cannot be read."""
+    """Return cantools' database of a DBC file; DeviceError, which names ``device``, if it cannot be read."""
     import cantools
 
     try:
@@ -137,10 +137,11 @@ class CanImu(OneSource[FrameLink]):
     """A device on a CAN bus; each channel is a separate source with its own clock."""
 
     def __init__(self, setup: ImuSetup, link: FrameLink) -> None:
-        """Prepare a source for each channel of ``setup.signals``, a ``CanSource``; nothing is opened.
+        """Prepare a source for each channel of ``setup.signals``, a ``CanSource``; no link is opened.
 
-        DeviceError if the DBC cannot be read or a signal is missing or unsuitable. J1939 messages are recognised by
-        their parameter group, from any sender unless a source address is given; other messages by their identifier.
+        Its DBC is read unless it brings a database. DeviceError if the DBC cannot be read or a signal is missing or
+        unsuitable. J1939 messages are recognised by their parameter group, from any sender unless a source address is
+        given; other messages by their identifier.
         """
         device, source, rate_hz = setup.name, setup.signals, setup.rate_hz
         super().__init__(device, link)
@@ -211,11 +212,11 @@ class CanImu(OneSource[FrameLink]):
             await asyncio.sleep(self._gather_s if self._fresh is None else min(self._gather_s, look_s))
 
     def arrived(self) -> list[tuple[str, Stamps, Floats]]:
-        """Return source name, arrivals (n,) in ns and rates (n, m) of samples since the last call, before they are
-        timed.
+        """Return source name, arrivals (n,) in ns and rates (n, m) in rad/s of samples since the last call, before they
+        are timed.
 
-        Only sources with new samples are listed; frames of a wrong length count for none. The first call returns
-        nothing: from it on, samples are kept for the next call.
+        Only sources with new samples are listed; frames of a wrong length count for none, and those that lack a
+        multiplexed rate are left out. The first call returns nothing: from it on, samples are kept for the next call.
         """
         frames, self._fresh = self._fresh or [], []
         leading: dict[_Inlet, list[Frame]] = {}
@@ -387,8 +388,9 @@ class _Source:
         """Return rows (n, k) of leading frames, as ``block_of`` expects them; which have a count (n,), and the counts
         (n,).
 
-        Values of a missing companion are NaN; the temperature keeps its last value. Without a count signal no row has a
-        count, and all counts are 0. Companions up to the last of these frames are used up.
+        Values of a missing companion are NaN; the temperature keeps its last value. Counts are reduced to their wrap,
+        and mean nothing in rows without one. Without a count signal no row has one. Companions up to the last of these
+        frames are used up.
         """
         n = len(pieces)
         places = [piece.order for piece in pieces]

@@ -46,8 +46,8 @@ class FramedLink:
     async def receive(self) -> list[Frame]:
         """Return the frames of all bytes that have arrived, waiting for the first bytes; LinkLost if the link is gone.
 
-        The list is empty if the bytes complete no frame. If the link is lost after some bytes were read, the next call
-        says so.
+        Each holds one message as its data, and the arrival time of the chunk that completed it. The list is empty if
+        the bytes complete no frame. If the link is lost after some bytes were read, the next call says so.
         """
         frames = self._framed(await self._link.receive())
         with suppress(TimeoutError, LinkLost):  # bytes that have arrived already are read without waiting

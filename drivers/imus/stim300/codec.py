@@ -117,7 +117,8 @@ class Stim300Decoder:
         together.
 
         Bytes that begin no datagram are counted as dropped. Damaged datagrams are counted and searched again from their
-        second byte. An unfinished datagram at the end is kept for the next call.
+        second byte, which drops the first. A CR LF behind a datagram is skipped. An unfinished datagram at the end is
+        kept for the next call.
         """
         view = self._buffer + data
         reversed_view = view.translate(_REVERSED)

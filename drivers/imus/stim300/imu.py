@@ -78,6 +78,7 @@ class Stim300Imu(OneSource[ByteLink]):
     async def identify(self) -> Identity:
         """Ask for configuration, serial and part number; all empty if the device does not answer the first question.
 
+        The model has the part number and its revision; firmware and settings, in hex, are those of the configuration.
         Each question is asked twice at most, and not if its answer has come since the link was opened; an answer that
         does not come stays empty. Units and ranges are taken from the configuration; DeviceRefused if it contradicts
         the bench file, LinkLost if the link is gone. Samples that arrive meanwhile are kept.
@@ -215,7 +216,8 @@ class Stim300Imu(OneSource[ByteLink]):
         """Subtract from the losses the samples in whose place the device sent an answer.
 
         ``counter`` (n,) are those of the next normal datagrams. Only the gap before the first of them is forgiven, if
-        an answer came since the last datagram and the gap is of at most 8 samples.
+        an answer came since the last datagram and the gap is of at most 8 samples. The answer counts once; the last
+        counter is noted for the next call.
         """
         if self._answered and self._last_counter >= 0:
             missing = int(counter[0] - self._last_counter) % stim300.COUNTER_MODULUS // self._ticks - 1
@@ -228,8 +230,8 @@ class Stim300Imu(OneSource[ByteLink]):
         """Take the units of gyros and accelerometers and the range from the configuration.
 
         DeviceRefused if the rate, gyro unit or range differs from the bench file's, the gyro unit is unknown, a gyro is
-        off, or the accelerometers have different ranges or one that is unknown. Accelerometers are looked at only if
-        the datagrams carry them.
+        off, or the accelerometers have different ranges or one that is unknown. No rate, as with an external trigger,
+        is another rate. Accelerometers are looked at only if the datagrams carry them.
         """
         unit, ranges = UNITS.get(configuration.gyro_unit), configuration.accel_ranges_g
         if configuration.rate_hz != self._rate_hz:

@@ -26,7 +26,7 @@ class PartNumber:
     revision: str
 
     def payload(self) -> bytes:
-        """Return the 15 bytes; ValueError unless the number is 5, 6 and 4 digits and the revision one letter (tables
+        """Return the 15 bytes; ValueError unless the number is 5, 6 and 4 digits and the revision one character (tables
         5-13, 5-14).
         """
         parts = [[_digit(c) for c in part] for part in self.text.split("-")]

@@ -47,9 +47,10 @@ class ClusterUnit:
     def rates(self, raw: Floats, counter: Ints, t_ns: Ints, ticks: int) -> Floats:
         """Return values (n, 3) from raw numbers (n, 3), at least one row; NaN stays NaN.
 
-        Increments are divided by the sample period. So is, for integrals, the change since the previous sample, also
-        across calls. That is NaN for the first sample of all, and where the previous one is missing: ``counter`` (n,)
-        has not moved by ``ticks``, or ``t_ns`` (n,) has by more than 0.1 s. Wraps over a gap cannot be counted.
+        Values are only scaled. Increments are divided by the sample period. So is, for integrals, the change since the
+        previous sample, also across calls. That is NaN for the first sample of all, and where the previous one is NaN
+        or missing: ``counter`` (n,) has not moved by ``ticks``, or ``t_ns`` (n,) has by more than 0.1 s. Wraps over a
+        gap cannot be counted.
         """
         if self._kind != _INTEGRATED:
             return np.asarray(raw * self._scale)

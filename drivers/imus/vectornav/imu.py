@@ -66,8 +66,9 @@ class VectorNavImu(OneSource[ByteLink]):
     async def identify(self) -> Identity:
         """Read model, hardware revision, serial number, firmware and settings; output stays paused afterwards.
 
-        Settings are the values of registers 26, 84 and 85, those left out that the firmware refuses. LinkLost if the
-        device does not answer; DeviceRefused, DeviceFault or BadReply for its other answers.
+        The hardware revision is part of the model. Settings are the values of registers 26, 84 and 85, those left out
+        that the firmware refuses. LinkLost if the device does not answer; DeviceRefused, DeviceFault or BadReply for
+        its other answers.
         """
         await self._pause()
         model, hardware, serial, firmware = [await self._read(register) for register in ("01", "02", "03", "04")]
@@ -100,7 +101,7 @@ class VectorNavImu(OneSource[ByteLink]):
         await self._ask(vectornav.Sentence("VNASY", ("1",)))
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Configure the device and yield (device name, block) as bytes arrive.
+        """Configure the device, start its clocks anew, and yield (device name, block) as bytes arrive.
 
         Raises as ``configure``, and LinkLost when the link ends.
 
@@ -140,8 +141,9 @@ class VectorNavImu(OneSource[ByteLink]):
     def _of_frames(self, chunk: ByteChunk, frames: vectornav.Frames) -> ImuBlock | None:
         """Return a block of the new samples in binary frames that arrived with ``chunk``.
 
-        None if all are repeats, or if the layout is not the one asked for. The counter of the block is the device's
-        time since start-up in ns. DeviceFault if that jumped back by more than 1 s.
+        Rates and accelerations are the device's uncompensated ones. None if all are repeats, or if the layout is not
+        the one asked for. The counter of the block is the device's time since start-up in ns. DeviceFault if that
+        jumped back by more than 1 s.
         """
         if frames.layout != LAYOUT:
             return None  # left over from an earlier setting
@@ -181,8 +183,9 @@ class VectorNavImu(OneSource[ByteLink]):
     def _of_sentence(self, chunk: ByteChunk, sentence: vectornav.Sentence) -> ImuBlock | None:
         """Return a block of the samples that a VNIMU sentence makes ready; None while later ones are needed to time it.
 
-        None also for other sentences and in binary output. DeviceFault if the sentence reports a fault of the device;
-        one that cannot be read is counted and skipped.
+        The sample is also noted for ``arrived``, once that has been called. None also for other sentences and in binary
+        output. DeviceFault if the sentence reports a fault of the device; one that cannot be read is counted and
+        skipped.
         """
         self._complain(sentence)
         if sentence.header != "VNIMU" or self._output != "ascii":
@@ -245,8 +248,8 @@ class VectorNavImu(OneSource[ByteLink]):
     async def _reply_to(
         self, command: vectornav.Sentence, limit_s: float
     ) -> tuple[vectornav.Sentence | None, vectornav.Sentence | None]:
-        """Return the reply to ``command`` if it comes within ``limit_s``, else None; and the last answer that did not
-        match it.
+        """Return the reply to ``command`` if it comes within ``limit_s``, else None; and the last answer to such a
+        command that did not match it, None if there was none.
 
         Samples that arrive meanwhile are dropped. A reply that lies within an unfinished frame is found at the end.
         DeviceFault if the device reports a fault of its own meanwhile, LinkLost if the link is gone.

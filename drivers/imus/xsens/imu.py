@@ -57,8 +57,8 @@ class XsensImu(XbusDevice):
     async def identify(self) -> Identity:
         """Ask for product code, serial number and firmware, which stops the output; empty if ``configure`` is false.
 
-        LinkLost if it does not answer, DeviceRefused for an error. Product code and firmware stay empty if the device
-        does not give them.
+        The product code is the model; there are no settings. LinkLost if it does not answer, DeviceRefused for an
+        error. Product code and firmware stay empty if the device does not give them.
         """
         if not self._configures:
             return Identity()
@@ -285,7 +285,8 @@ class _Timing:
     def stamp(self, count: Stamps, arrival_ns: Stamps) -> tuple[Flags, Stamps]:
         """Return as flags (n,) which samples are new and plausible, and the times in ns of these.
 
-        ``count`` (n,) are the wrapping counts, ``arrival_ns`` (n,) the arrivals.
+        ``count`` (n,) are the wrapping counts, at least one, ``arrival_ns`` (n,) the arrivals. Implausible ones are
+        counted, see ``take_damaged``; repeats in the clock's counts.
         """
         sound = self._sound(count, arrival_ns)
         if not sound.any():

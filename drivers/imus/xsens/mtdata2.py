@@ -140,8 +140,9 @@ class Samples:
 def parse_mtdata2(data: Bytes) -> tuple[list[Samples], int]:
     """Return the contents of MTData2 messages of one length (n, length), and how many of them were malformed.
 
-    Successive messages with the same packets share an item. A message is malformed if its packets do not end with it,
-    or a known kind has an impossible size. Packets of unknown kinds are kept unread.
+    Successive messages with the same packets share an item, whose ``start`` is the row of the first. A message is
+    malformed if its packets do not end with it, or a known kind has an impossible size. Packets of unknown kinds are
+    kept unread.
     """
     found: list[Samples] = []
     malformed = 0
@@ -183,8 +184,8 @@ def _layout(data: bytes) -> tuple[Packet, ...] | None:
 def encode_mtdata2(packets: Sequence[tuple[int, Floats | Ints]]) -> bytes:
     """Return n MTData2 messages, each with one packet of every (data identifier, values (n, fields)) in ``packets``.
 
-    At least one packet is needed. Fixed-point numbers are rounded and clipped. ValueError for an unknown kind or a
-    wrong number of fields.
+    They are complete, with header and checksum. At least one packet is needed. Fixed-point numbers are rounded and
+    clipped. ValueError for an unknown kind, a wrong number of fields, or too many bytes.
     """
     parts: list[tuple[bytes, Bytes]] = []
     for data_id, values in packets:
@@ -212,7 +213,7 @@ def _decode(raw: Bytes, number_format: int) -> Floats:
 
 
 def _encode(values: Floats | Ints, number_format: int) -> Bytes:
-    """Return the bytes (n, size) of values (n, fields) in a float or fixed-point format.
+    """Return the bytes (n, size) of values (n, fields) in a float or fixed-point format, as the device orders them.
 
     Fixed-point numbers are rounded and clipped.
     """

@@ -33,10 +33,11 @@ class XbusDevice(OneSource[ByteLink]):
     async def _request(self, mid: Mid, data: bytes = b"", expected: Callable[[bytes], bool] = lambda _: True) -> bytes:
         """Send a request with ``data``, twice at most, and return the data of its answer.
 
-        That is the first answer that is ``expected``, else the last one within the time limit. Answers carry no number
-        of their request, and devices answer in order. A late answer can therefore only be mistaken for that to a later
-        request of the same kind; unless it is as expected, the right one is waited for. Other messages are dropped,
-        those received before as well. LinkLost without an answer, DeviceRefused as ``_find_answer``.
+        That is the first answer that is ``expected``, else the last one within the time limit; only without any is the
+        request sent again. Answers carry no number of their request, and devices answer in order. A late answer can
+        therefore only be mistaken for that to a later request of the same kind; unless it is as expected, the right one
+        is waited for. Other messages are dropped, those received before as well. LinkLost without an answer,
+        DeviceRefused as ``_find_answer``.
         """
         self._inbox.clear()
         dropped, self._hears_data = self._decoder.dropped_bytes, False
