@@ -79,7 +79,8 @@ class AxisState:
     def told(cls, angle: _Told, rate: _Told, window_s: float = 0.0) -> Self:
         """Return the state from two round trips, each (sent, arrived, value) with times in s of the loop.
 
-        ``window_s`` is the time over which the controller averages the rate, whose instant is earlier by half of that.
+        A value is taken to be of the middle of its trip; ``half_width_ns`` is half of the longer trip. ``window_s`` is
+        the time over which the controller averages the rate, whose instant is earlier by half of that.
         """
         angle_s, rate_s = ((sent_s + here_s) / 2 for sent_s, here_s, _ in (angle, rate))
         half_width_s = max(here_s - sent_s for sent_s, here_s, _ in (angle, rate)) / 2

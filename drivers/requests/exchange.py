@@ -119,7 +119,8 @@ class Exchange:
         """Send lines at once without waiting for any answer, as for stopping; LinkLost if they cannot be sent.
 
         If the last request or write failed, or this write fails, the link is closed and opened anew first. An empty
-        line goes ahead, which ends a line that was cut off on its way.
+        line goes ahead, which ends a line that was cut off on its way. The next request resynchronises first, past
+        whatever the controller answers.
         """
         data = b"".join(map(self._framing.request, ("", *lines)))
         async with self._turn:
@@ -139,10 +140,11 @@ class Exchange:
     async def ask(self, line: str, pattern: re.Pattern[str], *, repeat: bool = True) -> Answer:
         """Send a request and return its answer, which matches ``pattern`` in full or is a refusal.
 
-        Before a new attempt, and after a malformed answer, the exchange is resynchronised. With ``repeat`` false the
-        request is sent at most once. LinkLost if no answer comes in two attempts, or if the link is gone. Unanswered, a
-        LinkLost, if a request that must not be repeated has no answer although the controller is there. UnexpectedReply
-        after three malformed answers, or after one if it must not be repeated.
+        Requests of several tasks wait for one another. Before a new attempt, and after a malformed answer, the exchange
+        is resynchronised. With ``repeat`` false the request is sent at most once. LinkLost if no answer comes in two
+        attempts, or if the link is gone. Unanswered, a LinkLost, if a request that must not be repeated has no answer
+        although the controller is there. UnexpectedReply after three malformed answers, or after one if it must not be
+        repeated.
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:

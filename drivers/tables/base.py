@@ -54,7 +54,7 @@ class Table:
         return status.target_reached
 
     async def _wait_for_home(self, poll_s: float) -> None:
-        """Poll all axes every ``poll_s`` until each is at home.
+        """Poll all axes every ``poll_s``, also those at home, until each is; ``homing`` has those that are not yet.
 
         After a minute ``_give_up_homing`` is called, and DeviceRefused raised, naming the axes that are not home.
         Raises as ``_at_home`` before.

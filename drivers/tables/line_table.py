@@ -38,7 +38,8 @@ class LineTable(Table):
     ) -> str:
         """Stop all axes, each with the lines that ``lines(axis)`` returns, and return in words what was seen.
 
-        ``read(axis)`` and ``idle(axis)``, and what is raised: see ``bring_to_rest``.
+        The lines are sent as by ``Exchange.tell_all``, without waiting for answers. ``read(axis)`` and ``idle(axis)``,
+        and what is raised: see ``bring_to_rest``.
         """
         return await self._bring_to_rest(lambda axis: self._exchange.tell_all(lines(axis)), read, idle)
 

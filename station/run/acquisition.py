@@ -143,7 +143,8 @@ class Acquisition:
     async def prepare_others(self) -> bool:
         """Bring the devices of other kinds to their set points, in order; return whether there are any.
 
-        A lost link is reopened up to five times for each device; after that LinkLost. Sets the phase.
+        A lost link is reopened up to five times for each device; after that LinkLost. With such devices the phase
+        becomes PREPARING.
         """
         for device in self._others:
             self.monitor.phase = Phase.PREPARING
@@ -165,7 +166,8 @@ class Acquisition:
                 await self._reopening.restore(device.name, device.driver, error)
 
     async def follow(self, device: OpenDevice) -> None:
-        """Record the series of a device until cancelled; a lost link is reopened while nothing turns.
+        """Record the series of a device and pass it to the monitor, until cancelled; a lost link is reopened while
+        nothing turns.
 
         Links of the table and of tested devices are reopened elsewhere: the series is then tried again every 0.2 s.
         DeviceFault for an incomplete row, the end of the series, or an unexpected exception; LinkLost from the
@@ -212,8 +214,9 @@ class Acquisition:
     def _take_block(self, name: str, block: ImuBlock) -> None:
         """Record a block of samples of the source ``name`` and pass it to the live estimate and the monitor.
 
-        The first with accelerometers adds their axes to the recording, and, if the bench has a data sheet for them and
-        their number is right, a live filter; they are recorded in any case. An error of the monitor is only reported.
+        Notes when it came, for ``watch_silence``. The first with accelerometers adds their axes to the recording, and,
+        if the bench has a data sheet for them and their number is right, a live filter; they are recorded in any case.
+        An error of the monitor is only reported.
         """
         self._last_seen_s[name] = asyncio.get_running_loop().time()
         self.task_guard.attempt("the monitor", lambda: self.monitor.take_block(name, block), None)
@@ -233,7 +236,7 @@ class Acquisition:
     def take_row(self, row: TableRow) -> None:
         """Record a row of table readings and pass it to live estimate and monitor; note the largest ``half_width_ns``.
 
-        A new rate window is recorded first.
+        A new rate window is recorded first. Whoever waits for rows is woken once the live estimate has enough of them.
         """
         columns = row._asdict()
         if columns.pop("rate_window_ns") != self._rate_window_ns:
@@ -317,9 +320,9 @@ class Acquisition:
     async def keep_flushing(self) -> None:
         """Write new data to the journal some 150 times a second, and every 2 s to the recording, until cancelled.
 
-        Counts, marks of the monitor and the host's load are taken every 0.2 s; an event tells of a clock that falls
-        behind. While the journal is synced to the disk, the recording is not written. Intervals are in the host's time,
-        which may fail; in virtual time all is written every 2 s.
+        Counts, marks of the monitor, the history of the live estimate and the host's load are taken every 0.2 s; an
+        event tells of a clock that falls behind. While the journal is synced to the disk, the recording is not written.
+        Intervals are in the host's time, which may fail; in virtual time all is written every 2 s.
         """
         loop = asyncio.get_running_loop()
         virtual, journal = is_virtual(loop), self.writer.journal
@@ -375,11 +378,13 @@ class Acquisition:
         }
 
     async def close(self, attributes: Mapping[str, str], *, undisturbed: bool) -> None:
-        """Close all sources and other devices, record counts and the root's ``attributes``, and close the recording.
+        """Close all sources and other devices, record what is left, and close the recording.
 
-        If ``undisturbed`` (no verdict so far), open each closed device again to check its identity, and finish the live
-        estimate, whose EstimatorError is ignored. DeviceFault if another device is there: devices after it and the
-        recording then stay open. Sets ``reports`` and, at the end, ``closed``.
+        That is: samples that sources still hold, the rest of the live estimate's history, counts of sources and links,
+        the largest half width of the table's readings, and the root's ``attributes``. If ``undisturbed`` (no verdict so
+        far), open each closed device again to check its identity, and finish the live estimate, whose EstimatorError is
+        ignored. DeviceFault if another device is there: devices after it and the recording then stay open. Sets
+        ``reports`` and, at the end, ``closed``.
         """
         self.monitor.end()
         for imu in self._imus:

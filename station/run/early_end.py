@@ -126,9 +126,9 @@ class EarlyEnd:
     def _live_forces(self) -> list[str]:
         """Return the names of the sigmas of accelerometers that the live filters have not reached.
 
-        They are such as "ax b", after the device if there are several. Empty if none is limited. Devices without a data
-        sheet for accelerometers do not count. An accelerometer that is excluded, by its name alone, or a device whose
-        accelerometers have sent nothing ("accelerometers of NAME") stays in the list.
+        They are such as "ax b" or "lever arm x", after the device if there are several. Empty if none is limited.
+        Devices without a data sheet for accelerometers do not count. An accelerometer that is excluded, by its name
+        alone, or a device whose accelerometers have sent nothing ("accelerometers of NAME") stays in the list.
         """
         if not self._bench.limits.forces.requires_sigmas:
             return []
@@ -189,8 +189,8 @@ class EarlyEnd:
     def _confirmed_forces(self, samples: Sequence[ImuData], readings: TableReadings) -> dict[str, float]:
         """Return the sigmas of accelerometers as shares of their limits, by the estimate at the end of a run.
 
-        Keys are name and state, or the name alone of an accelerometer that cannot be estimated, whose share is
-        infinite. Of several devices with the same names the largest share counts.
+        Keys are those of ``_force_shares``, or the name alone of an accelerometer that cannot be estimated, whose share
+        is infinite. Of several devices with the same names the largest share counts.
         """
         sources = {str(number): data for number, data in enumerate(samples)}
         found, _ = calibrate_forces(Recording(sources, readings, site=self._bench.site))
@@ -238,7 +238,8 @@ class EarlyEnd:
 def _force_shares(names: Sequence[str], sds: Floats, arm_sd_m: Floats, limits: ForceLimits) -> dict[str, float]:
     """Return the sigmas (a, 4) of accelerometers, and those of their lever arm (3,) in m, as shares of their limits.
 
-    Keys are name and state, such as "ax b", or "lever arm x". Sigmas without a limit are left out.
+    Keys are name and state, such as "ax b", or "lever arm x". Sigmas without a limit are left out, and the lever arm if
+    there are no ``names``.
     """
     shares = {
         f"{name} {state.symbol}": float(sd / most)

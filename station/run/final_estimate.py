@@ -29,9 +29,9 @@ def final_estimate(
     """Calibrate a closed recording, and store the results in it; return calibration, agreement and completed reports.
 
     The agreement is the largest difference between live filter and batch estimate, in sigmas. ``model`` and
-    ``excluded`` are as for ``calibrate``. The reports returned, by source, are ``reports`` with the time offsets found.
-    The live estimate must be finished. EstimatorError if the samples do not suffice or the file cannot be read or
-    written.
+    ``excluded`` are as for ``calibrate``. The notes of ``live`` are added to those of the calibration. The reports
+    returned, by source, are ``reports`` with the time offsets found. The live estimate must be finished. EstimatorError
+    if the samples do not suffice or the file cannot be read or written.
     """
     recording = read_recording(path, trusted=True)
     found = calibrate(recording, model=model, excluded=excluded)

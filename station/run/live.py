@@ -75,7 +75,7 @@ class LiveEstimate:
                 self._kept_forces.setdefault(name, []).append(block)
 
     def take_histories(self, fewest: int) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield the name of a group of the recording and new columns for it, by source; what is yielded is not kept.
+        """Yield the path of a group of the recording, which ends with a source, and new columns for it; none is kept.
 
         A source with less than ``fewest`` new blocks of its gyros is left out; of accelerometers a fifth of that is
         enough.
@@ -90,7 +90,8 @@ class LiveEstimate:
     def keep_blocks(self) -> None:
         """Keep from now on the data for estimates under coloured noise.
 
-        They are block sums, samples of accelerometers, and readings of the table.
+        They are block sums, samples of accelerometers, and readings of the table, for the sources that are there by
+        now.
         """
         n = len(self._gimbals)
         self._kept_rows = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), half_ns=np.int64)

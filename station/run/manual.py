@@ -65,8 +65,9 @@ class ManualSequencer(Sequencer):
         """Accept a command, which replaces the last; a jog like the present one extends that.
 
         It is "hold" or "end", which take no values, "jog", "go" or "home". ``given`` has "axis", "rate_rps", for go
-        "angle_rad", and perhaps "acceleration_rps2"; "home" without an axis drives all, one after the other. UsageError
-        if it is invalid or comes after "end", ScriptError beyond a limit.
+        "angle_rad", and perhaps "acceleration_rps2"; "home" without an axis drives all, one after the other. Other keys
+        are ignored if they hold numbers. UsageError for anything invalid, and after "end" for all but "hold" and "end";
+        ScriptError beyond a limit or for an unknown axis.
         """
         numbers = [value for key, value in given.items() if key != "axis"]
         sound = all(type(value) in (int, float) and (_LEAST <= abs(value) < _MOST or value == 0) for value in numbers)

@@ -77,7 +77,7 @@ class TaskGuard:
             return otherwise
 
     def failed(self, task: str, error: Exception) -> None:
-        """Log the failure of ``task`` and report it to the operator; further ones of the same name are ignored."""
+        """Log the failure of ``task``, tell it and keep it in ``notes``; further ones of the same name are ignored."""
         if task in self._failed:
             return
         self._failed.add(task)
@@ -181,7 +181,8 @@ class Monitor:
     def brief(self) -> Snapshot:
         """Return a snapshot for a progress bar: phase, step, times, pause, samples, lost samples and the mean NIS.
 
-        All else in it is empty or NaN. Before the script begins nothing is done and all that is planned is left.
+        Counts are sums over all sources; all else is empty or NaN. Before the script begins nothing is done and all
+        that is planned is left.
         """
         counts = [self.counts(imu.source, name) for imu in self._open.imus for name in imu.source.names]
         sequencer = self.sequencer
@@ -219,8 +220,8 @@ class Monitor:
         """Yield the state of each axis at ``now_s`` (loop time), outermost first.
 
         ``state`` is the fault of the table if there is one, the phase before the script, else whether the axis turns,
-        faster than 0.02 deg/s. Angle and rate are NaN before a reading. The setpoint is 0 and the target NaN before the
-        script, and for an axis that is not driven.
+        faster than 0.02 deg/s. Angle and rate are NaN before a reading. The setpoint, a rate, is 0 and the target NaN
+        before the script, and for an axis that is not driven.
         """
         nothing = np.full(len(self._axes), np.nan)
         angles, rates = (self.row.angle_rad, self.row.rate_rps) if self.row else (nothing, nothing)

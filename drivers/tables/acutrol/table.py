@@ -122,7 +122,8 @@ class AcutrolTable(LineTable):
                 raise DeviceFault(self._device, status.fault or f"axis {name} stays {status.text}")
 
     async def home(self) -> None:
-        """Move every axis to the zero of its encoder by the shorter way, and wait; angles count from there.
+        """Move every axis to the zero of its encoder by the shorter way, at 30 deg/s at most, and wait; angles count
+        from there.
 
         DeviceFault for an axis in fault, DeviceRefused if homing takes more than a minute; raises as ``status`` if a
         move fails.
@@ -136,9 +137,10 @@ class AcutrolTable(LineTable):
         await self._wait_for_home(_POLL_S)
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (rate mode) until the next command.
+        """Turn an axis at a rate (rate mode) until the next command, in place of its last move or jog.
 
-        DeviceRefused if rate mode is not entered within 1 s. A failure later is raised by ``read`` or ``status``.
+        The limits of the bench file are not checked. DeviceRefused if rate mode is not entered within 1 s. A failure
+        later is raised by ``read`` or ``status``.
         """
         self._moved, task = axis, _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
         self._axes[axis].task = task
@@ -148,7 +150,9 @@ class AcutrolTable(LineTable):
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home; it continues in the background, over any number of turns.
 
-        DeviceRefused if a mode is not entered within 1 s. A failure later is raised by ``read`` or ``status``.
+        ``rate_rps`` is a speed, of which the sign is ignored. It takes the place of the axis's last move or jog; the
+        limits of the bench file are not checked. DeviceRefused if a mode is not entered within 1 s. A failure later is
+        raised by ``read`` or ``status``.
         """
         self._moved = axis
         task = _Task(abs(math.degrees(rate_rps)), math.degrees(acceleration_rps2), math.degrees(angle_rad))
@@ -274,7 +278,7 @@ class AcutrolTable(LineTable):
             await asyncio.sleep(_TRACK_S / 2)
 
     async def _travel(self, axis: str, task: _Task, leg: str) -> None:
-        """Move on, leg by leg, until the target is reached or the axis has a new task.
+        """Move on, leg by leg, until the target is reached, which sets ``task.reached``, or the axis has a new task.
 
         ``leg`` is the kind of leg in progress, as ``_begin_leg`` returns it. After two changes of position, 0.02 deg
         from the target is near enough. DeviceRefused if it is not reached after eight legs; if the interlock is open or
@@ -365,7 +369,7 @@ class AcutrolTable(LineTable):
         """Set rate and acceleration limits of position mode, enter it, and change the position demand by ``way_deg``.
 
         If the answer to the change is lost or wrong, it is not repeated and nothing is raised: the next leg sees the
-        result.
+        result. Refusals are raised, and so is what ``_enter`` raises.
         """
         number = self._axes[axis].own.address
         await self._tell(f":lim:rate pos,{number},{task.rate_dps:.6f}")

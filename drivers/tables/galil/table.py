@@ -84,8 +84,9 @@ class GalilTable(LineTable):
     async def home(self) -> None:
         """Run the controller's homing on all axes at once, define zero there, and set the travel as soft limits.
 
-        An axis that moves is halted first; an axis without a travel gets no soft limits. DeviceFault or DeviceRefused
-        if an axis does not find home, DeviceRefused as well if it takes more than a minute.
+        It runs at 30 deg/s at most. An axis that moves is halted first; an axis without a travel gets no soft limits.
+        DeviceFault or DeviceRefused if an axis does not find home, DeviceRefused as well if it takes more than a
+        minute.
         """
         self.homing = set(self.limits)
         for axis, own in self._axes.items():
@@ -125,7 +126,8 @@ class GalilTable(LineTable):
         """Turn an axis at a rate, rounded to counts/s; a jogging axis changes its rate without a halt.
 
         An axis that moves otherwise, or has ended its jog, is halted first, which raises as ``bring_to_rest``.
-        DeviceRefused beyond the limits of the axis, which the gentlest ramp may be, or below half a count/s.
+        DeviceRefused beyond the limits of the axis, which the gentlest ramp may be, or below half a count/s unless
+        zero.
         """
         self._moved, letter = axis, self._axes[axis].address
         rate = self._rate(axis, rate_rps, acceleration_rps2)
@@ -168,9 +170,9 @@ class GalilTable(LineTable):
     async def status(self, axis: str) -> AxisStatus:
         """Read TS word and stop code of an axis, and TV of one that jogs.
 
-        A target is reached if the axis stopped there or at home, or jogs within a thousandth (and 1 count/s) of its
-        rate, with its motor on. A fault is described with both codes. The interlock is said to be open if the motor is
-        off and the abort input is active.
+        Enabled means that its motor is on. A target is reached if the axis stopped there or at home, or jogs within a
+        thousandth (and 1 count/s) of its rate, with its motor on. A fault is described with both codes. The interlock
+        is said to be open if the motor is off and the abort input is active.
         """
         switches, stop, fault = await self._condition(axis)
         reached = not switches.moving and stop in (galil.AT_TARGET, galil.HOMED)
@@ -204,7 +206,7 @@ class GalilTable(LineTable):
     async def abort(self) -> None:
         """Stop at once, without a ramp, and wait for rest; the motors go off, as off-on-error is set.
 
-        Raises as ``bring_to_rest``.
+        That they go off counts as no fault of theirs. Raises as ``bring_to_rest``.
         """
         self._powered.clear()
         self._jogs.clear()
@@ -280,7 +282,10 @@ class GalilTable(LineTable):
                 raise error
 
     async def _change_jog(self, axis: str, rate: int, acceleration_rps2: float) -> bool:
-        """Change the rate (counts/s) and ramps of a jogging axis; return False if it does not jog or move any more."""
+        """Change the rate (counts/s) and ramps of a jogging axis; return False if it does not jog or move any more.
+
+        Any other refusal is raised, DeviceRefused for a ramp as by ``_set_ramps``.
+        """
         await self._set_ramps(axis, acceleration_rps2)
         try:
             await self._tell(f"JG{self._axes[axis].address}={rate}")
@@ -320,8 +325,8 @@ class GalilTable(LineTable):
     def _rate(self, axis: str, rate_rps: float, acceleration_rps2: float) -> int:
         """Return a rate in counts/s; DeviceRefused beyond the limits of the axis, or for one below half a count/s.
 
-        The controller does not know these limits; ``acceleration_rps2`` is compared with its own. Rate zero is returned
-        as it is.
+        The controller does not know these limits, which may be exceeded by a thousandth; ``acceleration_rps2`` is
+        compared with its own. Rate zero is returned as it is.
         """
         limits = self._axes[axis].limits
         if abs(rate_rps) > limits.rate_rps * 1.001 or abs(acceleration_rps2) > limits.acceleration_rps2 * 1.001:

@@ -84,7 +84,7 @@ class ModbusTable(Table):
         enabled.
 
         A drive that is enabled may be driven by another program: it is not written to before the first command.
-        LinkLost if one does not answer, BadReply if its state is none.
+        LinkLost if one does not answer, BadReply if its state is none, DeviceRefused if it refuses a value.
         """
         self._ready.clear()
         for line in dict.fromkeys(self._lines.values()):
@@ -213,9 +213,9 @@ class ModbusTable(Table):
             await self._read(axis, "statusword")
 
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
-        """Turn an axis at a rate (profile velocity mode) until its next command.
+        """Turn an axis at a rate (profile velocity mode) until its next command, with this acceleration on both ramps.
 
-        DeviceRefused for a value that does not fit its register.
+        The limits of the bench file are not checked. DeviceRefused for a value that does not fit its register.
         """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_VELOCITY)
@@ -227,8 +227,9 @@ class ModbusTable(Table):
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home (profile position mode), and wait until the drive has taken the set point.
 
-        ``rate_rps`` is a speed, of which the sign is ignored. A drive that does not show it in time counts as having
-        taken it. DeviceRefused for a value that does not fit its register.
+        ``rate_rps`` is a speed, of which the sign is ignored; the limits of the bench file are not checked. A drive
+        that does not show in 20 ms that it has taken the set point counts as having taken it. DeviceRefused for a value
+        that does not fit its register.
         """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)
@@ -275,8 +276,8 @@ class ModbusTable(Table):
         """Read the state of an axis and describe a fault in words.
 
         Enabled is Operation enabled alone; whether the target is reached is the drive's word (bit 10). Quick stop
-        active is no fault but a caution. The interlock is read where the profile knows its inputs, except in operation.
-        BadReply for a statusword that is no CiA 402 state.
+        active is no fault but a caution; an internal limit is only named in the text. The interlock is read where the
+        profile knows its inputs, except in operation. BadReply for a statusword that is no CiA 402 state.
         """
         word = int(await self._read(axis, "statusword"))
         state = cia402.state_of(word)
@@ -329,7 +330,7 @@ class ModbusTable(Table):
         await line.tell(self._writing(axis, "controlword", self._profile.commands[command]))
 
     async def _clear_fault(self, axis: str) -> None:
-        """Send a fault reset and wait for the drive to leave its fault; DeviceFault if it does not."""
+        """Send a fault reset and wait for the drive to leave its fault; DeviceFault if it does not within 2 s."""
         await self._write(axis, "controlword", 0)  # the reset acts on a rising edge
         await self._command(axis, "fault_reset")
         try:

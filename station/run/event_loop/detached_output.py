@@ -50,7 +50,8 @@ class _PatientStream:
     """
 
     def __init__(self, stream: TextIO) -> None:
-        """Flush the stream and start the thread; UnsupportedOperation, an OSError, if it has no descriptor."""
+        """Flush the stream and start the thread that writes; UnsupportedOperation, an OSError, if it has no
+        descriptor."""
         self._stream = stream
         self._descriptor = stream.fileno()
         stream.flush()

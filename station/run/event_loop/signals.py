@@ -14,9 +14,9 @@ _HANG_UP = getattr(signal, "SIGHUP", None)
 def heeded_signals(stop: Callable[[str], None], hang_up: Callable[[], None] | None = None) -> Iterator[None]:
     r"""Call ``stop(name)`` on the running loop for Ctrl-C, SIGTERM, SIGHUP, Ctrl-\ and Ctrl-Z, within this context.
 
-    For SIGHUP call ``hang_up()`` instead if given; output to the terminal that is gone is then discarded. Ctrl-Z
-    counts, as a frozen process would leave the table turning. Nothing is installed outside the main thread. The
-    handlers before are restored at the end.
+    ``name`` is one of these, as the operator reads it. For SIGHUP call ``hang_up()`` instead if given; output to the
+    terminal that is gone is then discarded. Ctrl-Z counts, as a frozen process would leave the table turning. Nothing
+    is installed outside the main thread. The handlers before are restored at the end.
     """
     loop = asyncio.get_running_loop()
     terminals = [stream for stream in (0, 1, 2) if os.isatty(stream)]
