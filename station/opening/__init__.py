@@ -130,7 +130,8 @@ def with_links(bench: Bench, links: dict[str, str], devices: Sequence[str]) -> B
 
     The table's link replaces those of all its axes. If ``devices`` names devices under test, only these are used of
     them; else those that were and those with a link here. Of other kinds, those named and those with a link here are
-    used in addition. BenchError for a name that the bench does not have.
+    used in addition. BenchError for a name that the bench does not have, and for the table in ``devices`` without a
+    link.
     """
     table = bench.table.name
     for name in (*links, *devices):
@@ -169,7 +170,8 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
 
     ``time_scale`` is how fast the loop's clock runs: times that wait for a host, not for physics, are stretched by it,
     but never shortened. Links of devices that have to be made safe are locked: DeviceRefused if another program of this
-    machine holds one. BenchError if no device under test is used, or for an invalid link or truth of a twin.
+    machine holds one. BenchError if no device under test is used, or for an invalid link or truth of a twin;
+    PluginError for a kind of device without a twin.
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:

@@ -90,8 +90,7 @@ class LiveEstimate:
     def keep_blocks(self) -> None:
         """Keep from now on the data for estimates under coloured noise.
 
-        They are block sums, samples of accelerometers, and readings of the table, for the sources that are there by
-        now.
+        They are block sums of the sources that are there by now, samples of accelerometers, and readings of the table.
         """
         n = len(self._gimbals)
         self._kept_rows = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), half_ns=np.int64)

@@ -52,7 +52,7 @@ def judge(calibration: Calibration, limits: Limits | None, causes: Sequence[str]
     ESTIMATED without limits, else PASS or FAIL. Doubts about the sigmas are always part of the reason; errors that no
     sigma can cover fail the calibration. ``causes``, sentences on possible faults of the run itself, are named only in
     a FAIL, as is that most of a sigma comes from effects not declared; what nothing proves to be constant only in the
-    others.
+    others. A FAIL also has the broken limits in ``broken`` and what may explain them in ``because``.
     """
     unproved = tuple(filter(None, [not_proved(calibration.constancy)]))
     if limits is None or not limits.stated:

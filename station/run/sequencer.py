@@ -69,7 +69,7 @@ class Sequencer:
         return _PAUSE if self.paused == PAUSED else self._script.steps[self._index].label
 
     def pause(self) -> None:
-        """Pause after the present step until ``resume``; UsageError in the last step. Ignored if paused already."""
+        """Pause after the present step until ``resume``; UsageError in the last step. Ignored if asked for already."""
         if self.paused:
             return
         if self._index == len(self._spans) - 1:
@@ -93,8 +93,8 @@ class Sequencer:
     def commanded(self, axis: str) -> Commanded:
         """Return the last command to an axis: range of angles, largest rate, and since when.
 
-        For the axis that turns, the range is from its start to its target, and the course is the planned one. Any other
-        is to stand at its last target, without a course.
+        For the axis that turns, the range is from its start to its target, and the course is the planned one, from when
+        the table had got the command. Any other is to stand at its last target, without a course.
         """
         target, turn = self._target_rad[axis], self._turn
         if turn is None or axis != turn.axis:

@@ -162,7 +162,8 @@ class Session:
         """Close the recording of a run whose way out failed or was interrupted too often; return the result so far.
 
         There is no calibration, and the agreement is NaN. The reason of the verdict, "cancelled" without an earlier
-        one, also says whether the table may still move. A recording that cannot be closed is ignored.
+        one, also says whether the table may still move. Outcome and reason are written into the recording; one that
+        cannot be closed is ignored.
         """
         verdict = self._verdict or Verdict(Outcome.ABORTED, "cancelled")
         safe = self._rested or not self._connected
@@ -180,7 +181,7 @@ class Session:
         )
 
     async def _go_through(self) -> Result:
-        """Work, make the devices safe, conclude; return the result. Errors of each part are raised.
+        """Work, make the devices safe, dismiss the guard, conclude; return the result. Errors of each part are raised.
 
         Called again after an interruption, it cancels the work, waits at most ``_STOP_LIMIT_S`` for its end, and
         continues with the next part; devices that are safe are left alone. A stop that came before the work cancels

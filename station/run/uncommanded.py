@@ -272,7 +272,7 @@ def _command_text(command: Commanded) -> str:
 
 
 async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
-    """Check that every axis is in operation; DeviceFault if one has a fault or is not enabled."""
+    """Check that every axis is in operation; DeviceFault if one has a fault or an open interlock, or is not enabled."""
     for axis in axes:
         status = await table.status(axis)
         if status.trouble:
@@ -284,7 +284,8 @@ async def check_axes(table: Turntable, axes: tuple[str, ...]) -> None:
 async def watch_homing(table: Turntable) -> None:
     """Check the readings of all axes until cancelled; DeviceFault if one turns that is not homing.
 
-    An axis that is homing may turn at its largest rate; one that has finished counts as standing from then on.
+    An axis that is homing may turn at its largest rate; one that has finished counts as standing from then on. Raises
+    as ``MotionGuard.look``, and what ``table.read`` raises.
     """
     loop = asyncio.get_running_loop()
     homed_s = dict.fromkeys(table.limits, loop.time())
