@@ -99,9 +99,9 @@ def _stim300(section: StrictTable, _folder: Path) -> Capture:
 def _read_stim300(code: int | None, range_g: int, raw: bytes, names: Sequence[str]) -> _Decoded:
     """Return ``gyro`` (n, 3) in rad/s, ``accelerometer`` (n, 3) in m/s2, ``temperature`` (degC), ``time`` (s); notes.
 
-    The time is that of the counter. ``code`` is the gyro output, None if not stated, ``range_g`` that of the
-    accelerometers; a configuration sent by the device takes precedence. Datagrams without the first of ``names`` are
-    left out, unless none has it. Nothing if there are fewer than two datagrams.
+    The time is that of the counter, less the delay of the gyro output. ``code`` is the gyro output, None if not stated,
+    ``range_g`` that of the accelerometers; a configuration sent by the device takes precedence. Datagrams without the
+    first of ``names`` are left out, unless none has it. Nothing if there are fewer than two datagrams.
     """
     decoder = stim300.Stim300Decoder()
     found = decoder.feed(raw)

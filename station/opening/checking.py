@@ -101,7 +101,8 @@ async def check_bench(
     """Return the answers of each device of an open bench, the table first; nothing moves.
 
     ``tell`` gets the name of each device before it is asked. What is wrong with a device is noted in its answers, not
-    raised. Every driver is closed at the end. If several send nothing intelligible, swapped links are suggested.
+    raised. Every driver is closed at the end. The answers include the counts of its link. If several send nothing
+    intelligible, swapped links are suggested.
     """
     found = []
     for device in opened.devices.values():
@@ -142,9 +143,9 @@ def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     """Ask the table for identity, status and readings of each axis, and whether another master commands it.
 
-    Returns the answers. Noted as wrong are faults, axes that turn, commands of others, errors, and axes that take
-    longer to read than the poll rate allows. Commands of others are looked for if an axis is enabled and the protocol
-    tells them. Time limits are stretched by ``time_scale``.
+    Returns the answers. Noted as wrong are faults, open interlocks and cautions, axes that turn, commands of others,
+    errors, and axes that together take longer to read than the poll rate allows. Commands of others are looked for if
+    an axis is enabled and the protocol tells them. Time limits are stretched by ``time_scale``.
     """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))
@@ -340,7 +341,8 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
     """Return the number of samples per second that a device sends, lost ones included; 0 for fewer than two.
 
     ``counted``: the times are from the device's own count or clock. They show it once they have settled, in their
-    second half. Without a count, times follow the rate of the bench file: only arrivals can contradict it.
+    second half. Without a count, times follow the rate of the bench file: only arrivals can contradict it, and losses
+    follow from it, so that only repeated samples are added.
     """
     n = len(t_ns)
     if n < 2:

@@ -59,7 +59,8 @@ def simulated_run(script: Script, bench: Bench, imu: ImuConfig) -> Recording:
     """Return a simulated run of a device without errors, the same at every call.
 
     Its noise is that of the data sheets: white noise of gyros, white noise and instability of accelerometers. The
-    device has to state a sheet for the latter. Gravity is that of the site, else the standard one.
+    device has to state a sheet for the latter. Gravity is that of the site, else the standard one; the table's
+    uncertainty is that of the bench.
     """
     sheet = imu.force_sheet
     assert sheet is not None

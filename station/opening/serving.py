@@ -65,8 +65,8 @@ class Serving:
     async def table(self, port: int) -> dict[str, Any]:
         """Serve the twin of the table on a pseudo-terminal, Modbus TCP or TCP; return its announcement.
 
-        ``port`` is that of TCP, 0 for a free one. The announcement is its link first, then protocol, addresses and
-        watchdog.
+        ``port`` is that of TCP, 0 for a free one. The announcement has "link" first, "protocol", "watchdog_s", and the
+        addresses by axis, as "unit_ids" on Modbus, whose protocol ends with -tcp or -rtu, else as "axes".
         """
         config, wire = self._twins.bench.table, self._twins.wire("table")
         addresses = {name: axis.address for name, axis in config.axes.items()}

@@ -136,7 +136,8 @@ def _samples(name: str, device: DeviceTruth, run: DirectRun, felt: SimulatedForc
 def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
     """Return the recording of a script on the twins of a bench, one source for each used device.
 
-    The same ``seed`` gives the same noise. BenchError if the hidden effects do not fit the devices.
+    The same ``seed`` gives the same noise. BenchError if the hidden effects do not fit the devices or a truth is
+    invalid.
     """
     truths = bench.twin.truths.again()
     used = [imu for imu in bench.imus if imu.used]

@@ -351,7 +351,8 @@ def truth_of(truths: Table, imu: ImuConfig) -> GyroTruth:
 def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[AccelerometerTruth, float] | None:
     """Return the true errors of the accelerometers of a device, and its true gravity in m/s2.
 
-    None if the bench states none. Gravity is by default that of the site, else the standard one.
+    None if the bench states none. Gravity is by default that of the site, else the standard one. The table's error for
+    an invalid key.
     """
     section = truths.again().table(imu.name, optional=True).value("accelerometers", None)
     if section is None:
@@ -370,7 +371,8 @@ def force_truth_of(truths: Table, imu: ImuConfig, site: Site | None) -> tuple[Ac
 def mounting_of(truths: Table, imu: ImuConfig) -> Mounting:
     """Return how the gyros of a device lie on the table, with the mounting of the bench file and the error of its twin.
 
-    Sense axes are those of the twins for a kind of array that they know, else those of the bench file.
+    Sense axes are those of the twins for a kind of array that they know, else those of the bench file. The table's
+    error for an invalid key of the mounting error.
     """
     own = imu.own_array
     if imu.array_name in MOUNTS_DEG:
