@@ -61,7 +61,7 @@ class ForceLimits:
     def of_state(self, number: int) -> tuple[float, str, float, str]:
         """Return the largest size of a state as a number and as written, and the largest sigma likewise.
 
-        Without a limit the text is "". ``number`` is that of the state.
+        Without a limit the number is infinite and the text "". ``number`` is that of the state.
         """
         key = ("k", "b_mps2", "sigma_rad", "sigma_rad")[number]
         size, sd = getattr(self, key), getattr(self, f"sd_{key}")
@@ -111,7 +111,8 @@ class Limits:
 
     @property
     def stated(self) -> bool:
-        """Whether any limit is given. A least NIS of 0 and a loss of 1 are none, as any result meets them."""
+        """Whether any limit is given, of forces too. A least NIS of 0 and a loss of 1 are none, as any result meets
+        them."""
         least = (self.nis_low, 1 - self.lost)
         return (
             any(map(math.isfinite, (*self.sizes, *self.sds)))

@@ -104,7 +104,7 @@ def read_imu(table: Table, folder: Path, known: Registry[ImuSpec] = IMUS) -> Imu
     """Return the device of a section [[imu]]; the table's error with line and key if it is invalid.
 
     Its protocol is one of ``known``; paths count from ``folder``. The array must have as many gyros as the protocol,
-    the mapping or the description.
+    the mapping or the description; it is returned as mounted, its axes in the body that the table turns.
     """
     own = table.read("bench.imu", folder, protocol=known_in(known))
     name, spec, sheet = own["name"], own["spec"], own.pop("datasheet")

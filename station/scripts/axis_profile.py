@@ -20,8 +20,9 @@ def profile_lines(motion: PlannedMotion, width: int) -> list[str]:
     """Return a drawing of the rates, ``width`` characters wide: bars up for positive rates, down for negative ones.
 
     Each axis has a row, and a second one below it if it ever turns backwards, scaled to its largest rate; a column
-    shows the largest rate of its time. Axes are sorted by name. Standstill of open duration is marked with ~. The last
-    two lines are the time axis. There are ten columns of bars or more, even if ``width`` is less.
+    shows the largest rate of its time. A row begins with the largest rate that way, the first of an axis with its name.
+    Axes are sorted by name. Standstill of open duration is marked with ~. The last two lines are the time axis. There
+    are ten columns of bars or more, even if ``width`` is less.
     """
     columns = max(width - len(_LABEL.format("", "")), 10)
     edges = np.linspace(0, len(motion.t_s), columns + 1).astype(int)[:-1]

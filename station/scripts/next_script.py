@@ -102,10 +102,10 @@ def next_script(
 ) -> NextScript | None:
     """Return the best script to decide between effects; None without runs, without known effects, or if none fits.
 
-    ``rivals`` are sets of effects that explain the same; an effect alone in its set is compared with no effect. The
-    runs ``past`` were fitted, ``judging`` only verified; ``evidence`` is the log evidence of each effect in both, which
-    gives its likely size. The script is one that a table with these ``limits``, ``gimbals`` and ``site`` can do, and
-    must end within ``most_s``.
+    ``rivals`` are sets of effects that explain the same; unknown ones are left out of them, and an effect alone in its
+    set is compared with no effect. The runs ``past`` were fitted, ``judging`` only verified; ``evidence`` is the log
+    evidence of each effect in both, which gives its likely size. The script is one that a table with these ``limits``,
+    ``gimbals`` and ``site`` can do, and must end within ``most_s``.
 
     Two rivals are decided when the log of their odds exceeds that of 0.95. Its mean is half the squared misfit, in
     sigmas, that one leaves of the other's effect, plus what the former's greater freedom costs it. The shortest script

@@ -69,10 +69,11 @@ def make_plan(
     temperature_rise_k: float = TEMPERATURE_RISE_K,
     effects: tuple[Effect, ...] | None = None,
 ) -> Plan:
-    """Return the plan for the used devices of a bench: the motion, and what it will show.
+    """Return the plan for the used devices of a bench: the motion, and what it will show of their gyros.
 
     ``effects`` are those to forecast, by default all of the catalogue. The temperature is taken to rise by
-    ``temperature_rise_k`` exponentially. ScriptError if the table cannot do the script.
+    ``temperature_rise_k`` exponentially. The script is planned as the controller carries it out; ScriptError if the
+    table cannot do it.
     """
     asked, script = script, check(script, bench.table.limits)
     motion = planned_motion(script, bench.table.gimbals, max(_PERIOD_S, script.least_s / _MOST_ROWS))

@@ -42,6 +42,8 @@ class Prediction:
 def predict(script: Script, bench: Bench, *, coarse: bool = False) -> Prediction:
     """Return the covariances predicted for a run of the script on the used devices of a bench: noise and table.
 
+    The script is taken as it is, without a look at the limits of the table.
+
     Covariances of gyros equal those of ``station.scripts.plan.make_plan`` without the effects that it adds.
     Accelerometers are only those of devices that state a data sheet for them. ``coarse``: in longer steps, and without
     what the resolution of encoders adds.

@@ -183,8 +183,9 @@ class Search:
         """Return the best script: the shapes best under white noise by ``solve``, settled under all noise.
 
         ``solve(shape)`` and ``settle(shape)``, which also returns the cost, give None for a shape that does not reach
-        the goal. More cycles are tried while they gain. Among nearly equal ones that with the fewest steps is taken,
-        with ramps as gentle as it costs nothing. None if no shape can be settled.
+        the goal. More cycles are tried while they gain. Each settled shape is told by ``on_progress``. Among nearly
+        equal ones that with the fewest steps is taken, with ramps as gentle as it costs nothing; its ``compared`` is
+        the number of combinations of turns. None if no shape can be settled.
         """
         ranked = self._ranked(solve)
         found: list[tuple[float, FoundScript, Shape]] = []
@@ -232,7 +233,8 @@ class Search:
         """Return the shapes that ``solve`` can solve and that may be the best, by cost; empty if there are none.
 
         Left out are those 5 % worse than the best. Those of nearly the least cost are sorted by their number of moves.
-        If the best turns there and back, slanted variants of it are tried, too.
+        If the best turns there and back, slanted variants of it are tried, too. How many could be solved is told by
+        ``on_progress``.
         """
         solved = [s for ways in self._combinations() if (s := solve(self._shape(ways))) is not None]
         self.on_progress(f"{len(solved)} combinations of turns compared")

@@ -49,7 +49,7 @@ class Pose(Step):
         return [Demand(aim.axis, self.rate_rps, aim.acceleration_rps2) for aim in self.aims]
 
     def problem(self) -> str:
-        """Return what is wrong: no axis is stated, or a time is not above zero; empty if nothing.
+        """Return what is wrong: no axis is stated, or a time is not above zero or not finite; empty if nothing.
 
         The time to settle may be zero.
         """

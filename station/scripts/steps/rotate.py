@@ -80,7 +80,7 @@ class Rotate(Step):
         """Return a rotation of half the time, None if that is less than three of its ramps.
 
         Ramps of half the length make half of the turn: an even number of full turns stays whole. If the axis cannot
-        accelerate that fast, the turn is smaller.
+        accelerate that fast, the turn is smaller. The label is made anew from the values.
         """
         duration_s = 0.5 * self.duration_s
         acceleration_rps2 = min(2 * self.acceleration_rps2, limits[self.axis].acceleration_rps2)

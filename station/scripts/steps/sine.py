@@ -43,7 +43,7 @@ class Sine(Step):
         return replace(self, acceleration_rps2=acceleration_rps2)
 
     def parts(self, angles_rad: Mapping[str, float]) -> Sequence[Part]:
-        """Return the turns: to one end and the other for each cycle, then to the middle.
+        """Return the turns: to the positive end and the negative one for each cycle, then to the middle.
 
         The middle is where the axis stands in ``angles_rad``, else 0.
         """

@@ -112,7 +112,8 @@ class WholeImuSearch:
     def best(self) -> FoundScript | None:
         """Return the best script; None if none up to LONGEST_S reaches every sigma, or none fits into ``total_s``.
 
-        It has more turns and poses where it takes them to reach the sigmas at all, and as long as that gains.
+        It has more turns and poses where it takes them to reach the sigmas at all, and as long as that gains; its ramps
+        are eased at last. ``compared`` is the number of structures tried before that.
         """
         best: _Solved | None = None
         compared = 0
@@ -217,9 +218,11 @@ class _Problem:
         )
 
     def shortest(self, start: Floats) -> _Solved | None:
-        """Return the variables of the least time in which every sigma is reached; None if there are none.
+        """Return the variables of the least time in which every sigma is reached, with their script; None if there are
+        none.
 
-        By how much the full prediction exceeds the coarse one is taken from the last result, until both agree.
+        By how much the full prediction exceeds the coarse one is taken from the last result, until both agree. None as
+        well if a sigma is then far beyond its limit.
         """
         needs = self._search.needs
         beyond = np.zeros(len(needs.excess(self._predicted(start))))
