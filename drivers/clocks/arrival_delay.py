@@ -110,9 +110,9 @@ class Lateness:
         """Make a first histogram from early samples, some of which may have been lost.
 
         ``excess`` (n,) in s gives the scatter, ``least_s`` the least excess; fewer than two values count as no scatter.
-        The scatter is estimated robustly against single losses and doubled samples, and is at least a twentieth of the
-        period. The histogram is that of an exponential distribution which begins at ``least_s``, its mean one scatter
-        above.
+        It counts as ``learned`` from then on. The scatter is estimated robustly against single losses and doubled
+        samples, and is at least a twentieth of the period. The histogram is that of an exponential distribution which
+        begins at ``least_s``, its mean one scatter above.
         """
         if len(excess) < 2:
             excess = np.zeros(2)
@@ -125,7 +125,8 @@ class Lateness:
         self._learn(least_s - rms_s * np.log(1 - (np.arange(1000) + 0.5) / 1000))
 
     def add(self, device_s: Floats, excess: Floats, unqueued: Flags, drifted_s: float, drift: float) -> None:
-        """Add samples whose place in the rhythm is known, and compute the histogram anew once enough have come.
+        """Add samples whose place in the rhythm is known, at least one, and compute the histogram anew once enough have
+        come.
 
         ``device_s`` and ``excess`` (n,) in s; of both only the samples marked in ``unqueued`` (n,), which waited for no
         other, enter, thinned out at high rates. ``drifted_s`` is the part of the excess due to clock drift at the last
@@ -155,8 +156,8 @@ class Lateness:
     def _learn(self, excess: Floats) -> None:
         """Compute the histogram, its costs and its statistics from ``excess`` (n,) in s, drift removed.
 
-        Neighbouring samples that are late together count as less than two: the correlation between them lowers the
-        weight.
+        The statistics leave out the lowest and the highest hundredth. Neighbouring samples that are late together count
+        as less than two: the correlation between them lowers the weight.
         """
         low, high = (float(v) for v in np.percentile(excess, [1.0, 99.0]))
         inner = excess[(excess >= low) & (excess <= high)]

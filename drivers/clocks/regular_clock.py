@@ -148,8 +148,8 @@ class RegularClock:
         """Search for lost and doubled samples among ``excess`` (n,) in s; ``unqueued`` marks samples that waited for no
         other.
 
-        While no lateness has been learned, a first search gives a better guess of it, and a second search uses that;
-        the guess replaces the present lateness.
+        While no lateness has been learned, a first search gives a better guess of it, and a second search uses that,
+        which then counts as learned.
         """
         equal = self._equal()
         if not self._lateness.learned:

@@ -144,7 +144,7 @@ class Exchange:
         is resynchronised. With ``repeat`` false the request is sent at most once. LinkLost if no answer comes in two
         attempts, or if the link is gone. Unanswered, a LinkLost, if a request that must not be repeated has no answer
         although the controller is there. UnexpectedReply after three malformed answers, or after one if it must not be
-        repeated.
+        repeated. Time-outs and malformed answers are counted.
         """
         arrived = asyncio.get_running_loop().time()
         async with self._turn:

@@ -13,7 +13,7 @@ async def make_safe(
     table: Turntable, /, *, time_scale: float, unconfirmed: Callable[[str], None], untrue_readings: bool = False
 ) -> SafeState:
     """Stop a table, abort its motions if it is not seen to stop, and switch its power off; device errors are not
-    raised.
+    raised, other exceptions are.
 
     ``unconfirmed(trouble)`` is called if the controlled stop was not confirmed, before the abort. With
     ``untrue_readings`` nothing that the table reports of the stop is believed: its power stays on for the longest

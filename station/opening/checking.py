@@ -308,7 +308,7 @@ async def _blocks_received(source: ImuSource, duration_s: float) -> dict[str, li
 
 
 def _source_check(source: ImuSource, name: str, blocks: Sequence[ImuBlock], time_scale: float) -> SourceCheck:
-    """Return rate, losses, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate.
+    """Return rate, counts, jitter, temperature and mean rates of one source; NaN for a gyro without a valid rate.
 
     There must be at least one sample. The temperature is the last one, NaN without any. ``time_scale`` is how fast the
     loop's clock runs: the jitter is in real time.
@@ -357,7 +357,7 @@ def _sent_hz(t_ns: Stamps, arrival_ns: Stamps, counts: SourceCounts, counted: bo
 
 
 def _complaints(config: ImuConfig, check: SourceCheck, counted: bool) -> Iterator[str]:
-    """Yield what is wrong with a source that sends: its rate, or else losses; then its gyros.
+    """Yield what is wrong with a source that sends: its rate, or else lost and corrupt samples; then its gyros.
 
     A rate is wrong by more than 2 %. A gyro is wrong if it sends no valid rate, or more than 20 deg/s at rest.
     ``counted``: its samples carry a count or clock; without, losses may explain a wrong rate.

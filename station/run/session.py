@@ -386,9 +386,10 @@ class Session:
         """Close table and recording, calibrate a run without a verdict, judge it, store the outcome, return the result.
 
         A run by hand is judged MANUAL and not calibrated; one that cannot be calibrated is a FAIL. Then, and after any
-        earlier verdict, there is no calibration and the agreement is NaN. Doubts on reopened devices, and that the
-        outcome cannot be stored, become parts of the reason. Errors of closing are raised; a recording that is closed
-        is not closed again.
+        earlier verdict, there is no calibration and the agreement is NaN. The result also has the reports of sources,
+        the counts of links and notes on work that failed. Doubts on reopened devices, and that the outcome cannot be
+        stored, become parts of the reason. Errors of closing are raised; a recording that is closed is not closed
+        again.
         """
         acquisition = self._acquisition
         if not acquisition.closed:

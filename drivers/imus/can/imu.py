@@ -88,7 +88,8 @@ class ChannelSignals:
         unsuitable.
 
         All rates must be in one message, and so must all accelerations; only a counter or a time may be given, and
-        either must be a plain count. ``device`` and ``dbc`` are for the error messages.
+        either must be a plain count. What the channel lacks is None, accelerations an empty list. ``device`` and
+        ``dbc`` are for the error messages.
         """
         units = dict(channel.units)
 

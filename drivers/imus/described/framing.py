@@ -98,11 +98,11 @@ class Lines:
     def scan(self, view: bytes) -> tuple[list[bytes], int, int]:
         """Return the messages, the number of damaged lines, and how many bytes are consumed.
 
-        A message is not the text but the numbers of a line, each a little-endian integer of 8 bytes. Text before the
-        first line end is skipped, as it may be half a line; the last line end is therefore not consumed. A line counts
-        from its last prefix on. Skipped without being counted are blank lines, those without the prefix and those above
-        4096 bytes. Damaged lines have other columns, a wrong check or a number that is too large. Unfinished text is
-        kept for the next call, unless it is above 4096 bytes.
+        A message is not the text but the numbers of a line times their columns' factors, each rounded to a
+        little-endian integer of 8 bytes. Text before the first line end is skipped, as it may be half a line; the last
+        line end is therefore not consumed. A line counts from its last prefix on. Skipped without being counted are
+        blank lines, those without the prefix and those above 4096 bytes. Damaged lines have other columns, a wrong
+        check or a number that is too large. Unfinished text is kept for the next call, unless it is above 4096 bytes.
         """
         _, *lines = view.split(b"\n")
         rest = lines.pop() if lines else view

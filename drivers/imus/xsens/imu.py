@@ -93,7 +93,7 @@ class XsensImu(XbusDevice):
         await self._request(Mid.GO_TO_MEASUREMENT)
 
     async def blocks(self) -> AsyncIterator[tuple[str, ImuBlock]]:
-        """Configure the device, unless told not to, and yield (device name, block of about 10 ms).
+        """Start its clock anew, configure it, unless told not to, and yield (device name, block of about 10 ms).
 
         Raises as ``configure``.
 
@@ -142,7 +142,8 @@ class XsensImu(XbusDevice):
         """Return the held messages as one block, or None if they contain no new samples of rates.
 
         Malformed messages and samples with implausible counts are counted and left out. Accelerations are None if the
-        device sends none. DeviceFault if the counts show that the device has restarted; BadReply as ``_batch``.
+        device granted none, or, not configured, if its first rates came without. DeviceFault if the counts show that
+        the device has restarted; BadReply as ``_batch``.
         """
         held, self._held, self._rows_held = self._held, [], 0
         batches: list[_Batch] = []

@@ -108,8 +108,8 @@ class AcutrolTable(LineTable):
         rate.
 
         The interlock of an enabled axis stays closed: opening it would cut the power of an axis that may turn. Such an
-        axis is braked with its allowed acceleration. DeviceFault if an axis is in fault or does not become enabled;
-        raises as ``status`` if a move failed before.
+        axis is braked with its allowed acceleration. DeviceFault if an axis is in fault or does not become enabled,
+        DeviceRefused if rate mode is not entered within 1 s; raises as ``status`` if a move failed before.
         """
         await self._tell(":utility:lockout on")
         for name, axis in self._axes.items():

@@ -121,7 +121,8 @@ class AerosmithTable(LineTable):
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn at a whole number of deg/s until the next command, with the acceleration rounded down to whole deg/s2.
 
-        DeviceRefused for any other rate, or an acceleration below 1 deg/s2.
+        DeviceRefused for any other rate, or an acceleration below 1 deg/s2. The limits of the bench file are not
+        checked.
         """
         rate = self._whole_rate(rate_rps)
         await self._set_acceleration(acceleration_rps2)
@@ -132,7 +133,8 @@ class AerosmithTable(LineTable):
         """Set acceleration and rate, and start a move to an angle from home.
 
         ``rate_rps`` is a speed, of which the sign is ignored; the acceleration is rounded down to whole deg/s2.
-        DeviceRefused if the speed is no whole number of deg/s, or the acceleration below 1 deg/s2.
+        DeviceRefused if the speed is no whole number of deg/s, or the acceleration below 1 deg/s2. The limits of the
+        bench file are not checked.
         """
         rate = abs(self._whole_rate(rate_rps))
         await self._set_acceleration(acceleration_rps2)

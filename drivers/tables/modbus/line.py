@@ -164,8 +164,8 @@ class ModbusLine:
         """Send once, without waiting for outstanding replies: for stopping, where other axes wait. Raises as ``ask``.
 
         The echo must come within half a time-out; within twice the time of recent answers where that is more. That is
-        doubled after each missing echo, up to the two time-outs of ``ask``. On a serial line that worked so far, where
-        two frames could collide, it is at least one time-out. A busy drive is asked again within this time.
+        doubled for each order in a row that failed, up to the two time-outs of ``ask``. On a serial line that worked so
+        far, where two frames could collide, it is at least one time-out. A busy drive is asked again within this time.
         """
         patient = isinstance(self._address, SerialPort) and not self._failed
         least_s = self._timeout_s if patient else self._timeout_s / 2

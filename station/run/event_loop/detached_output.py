@@ -106,7 +106,8 @@ def lasting_streams() -> Iterator[None]:
 def patient_streams() -> Iterator[None]:
     """Let no print within this context wait for a held terminal (Ctrl-S, a lost connection) or an unread pipe.
 
-    Lost is what they have not accepted a second after the end, and what is printed while 64 KiB wait. POSIX only.
+    Lost is what they have not accepted a second after the end, and what is printed while 64 KiB wait. Streams without a
+    descriptor are left as they are. POSIX only.
     """
     before = sys.stdout, sys.stderr
     patient = []

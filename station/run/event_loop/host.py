@@ -81,7 +81,8 @@ class HostWatch:
         return loop.waited_s if isinstance(loop, PacedLoop) else 0.0
 
     def blame(self, error: DeviceError, *, served_here: bool) -> DeviceError:
-        """Return an error that blames this computer if it may be at fault, else ``error`` itself.
+        """Return a DeviceError of "host", with ``error`` in its text, if this computer may be at fault, else ``error``
+        itself.
 
         Only lost links and late arrivals may be its fault: if it fell behind by 0.1 s in the last two seconds, or if a
         program on it answers for the device (``served_here``) and its processors are crowded.
