@@ -101,8 +101,8 @@ async def check_bench(
     """Return the answers of each device of an open bench, the table first; nothing moves.
 
     ``tell`` gets the name of each device before it is asked. What is wrong with a device is noted in its answers, not
-    raised. Every driver is closed at the end. The answers include the counts of its link. If several send nothing
-    intelligible, swapped links are suggested.
+    raised. Every driver is closed at the end. Time limits are stretched by a ``time_scale`` above 1. The answers
+    include the counts of its link. If several send nothing intelligible, swapped links are suggested.
     """
     found = []
     for device in opened.devices.values():
@@ -143,9 +143,10 @@ def _errors_noted(check: DeviceCheck, look_at: str) -> Iterator[None]:
 async def _check_table(opened: OpenBench, device: OpenDevice, time_scale: float) -> DeviceCheck:
     """Ask the table for identity, status and readings of each axis, and whether another master commands it.
 
-    Returns the answers. Noted as wrong are faults, open interlocks and cautions, axes that turn, commands of others,
-    errors, and axes that together take longer to read than the poll rate allows. Commands of others are looked for if
-    an axis is enabled and the protocol tells them. Time limits are stretched by ``time_scale``.
+    Returns the answers, with the limits of each axis and how long a reading takes. Noted as wrong are faults, open
+    interlocks and cautions, axes that turn, commands of others, errors, and axes that together take longer to read than
+    the poll rate allows. Commands of others are looked for if an axis is enabled and the protocol tells them. Time
+    limits are stretched by ``time_scale``.
     """
     bench, table = opened.bench, opened.table
     check = DeviceCheck(device.name, bench.table.protocol, ", ".join(bench.table.links))

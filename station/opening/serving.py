@@ -31,9 +31,9 @@ async def serve_twins(
 ) -> None:
     """Serve every twin of the bench on real ports until cancelled.
 
-    ``announce`` gets a line of JSON for each, then one that says that all are ready. ``host`` is the address to listen
-    on, ``port`` that of the table, 0 for any. [twin.wires] of the bench file says what each is served on.
-    ``time_scale`` is how fast the clock of the twins runs.
+    ``announce`` gets a line of JSON for each, with its name as "device" and its announcement, then one with "ready" and
+    "time_scale". ``host`` is the address to listen on, ``port`` that of the table, 0 for any. [twin.wires] of the bench
+    file says what each is served on. ``time_scale`` is how fast the clock of the twins runs.
     """
     async with AsyncExitStack() as stack:
         serving = Serving(Twins(bench, stack, time_scale), stack, host)

@@ -74,7 +74,8 @@ def simulate(
     ``hidden`` has the errors of devices and table; the recording does not mention them. Stamps begin at 0, when the
     bench clock, which temperature and hidden effects follow, is at ``started_s``: runs of one session follow each
     other. ``mounts`` replaces the mounting and truth of each device; ``forces`` states the accelerometers of those that
-    have some. ValueError without devices; HiddenError if the hidden effects do not fit a device.
+    have some. The only attribute of the recording is an empty text of a bench. ValueError without devices; HiddenError
+    if the hidden effects do not fit a device.
     """
     moves = [
         TimedMove(start_s, turn.axis, turn.to_rad, abs(turn.rate_rps), turn.acceleration_rps2)
@@ -136,8 +137,9 @@ def _samples(name: str, device: DeviceTruth, run: DirectRun, felt: SimulatedForc
 def simulate_bench(bench: Bench, script: Script, seed: int) -> Recording:
     """Return the recording of a script on the twins of a bench, one source for each used device.
 
-    The same ``seed`` gives the same noise. BenchError if the hidden effects do not fit the devices or a truth is
-    invalid.
+    The same ``seed`` gives the same noise. The recording has the mountings of the devices, the stated uncertainty of
+    the table, and the text of the bench, the seed and the script's name as attributes. BenchError if the hidden effects
+    do not fit the devices or a truth is invalid.
     """
     truths = bench.twin.truths.again()
     used = [imu for imu in bench.imus if imu.used]

@@ -26,7 +26,7 @@ def final_estimate(
     excluded: frozenset[str] | None,
     reports: Mapping[str, SourceReport],
 ) -> tuple[Calibration, float, dict[str, SourceReport]]:
-    """Calibrate a closed recording, and store the results in it; return calibration, agreement and completed reports.
+    """Calibrate a closed recording and store the results and reports in it; return calibration, agreement and reports.
 
     The agreement is the largest difference between live filter and batch estimate, in sigmas. ``model`` and
     ``excluded`` are as for ``calibrate``. The notes of ``live`` are added to those of the calibration. The reports

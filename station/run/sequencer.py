@@ -69,7 +69,10 @@ class Sequencer:
         return _PAUSE if self.paused == PAUSED else self._script.steps[self._index].label
 
     def pause(self) -> None:
-        """Pause after the present step until ``resume``; UsageError in the last step. Ignored if asked for already."""
+        """Pause after the present step until ``resume``, and tell so; UsageError in the last step.
+
+        Ignored if asked for already.
+        """
         if self.paused:
             return
         if self._index == len(self._spans) - 1:

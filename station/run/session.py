@@ -470,7 +470,8 @@ class Session:
 
 
 def _attributes(bench: OpenBench, script: Script, options: RunOptions) -> dict[str, Any]:
-    """Return the attributes of the recording: software, bench, script, devices, operator, clock.
+    """Return the attributes of the recording: station, software, bench, script, devices, table link, site, seed,
+    operator, serial number, plug-ins, model, clock.
 
     Operator, serial number, plug-ins and model are left out if empty, and the site if there is none. The outcome is
     ABORTED so far. In virtual time an identity made of all that takes the place of the clock, so that equal runs are

@@ -23,7 +23,8 @@ class SourceReport:
     def attributes(self) -> dict[str, float | int]:
         """Return the attributes of the source in the recording: counts of lost and bad samples, clock and time offset.
 
-        What is not known is left out.
+        They are lost, repeated, late and corrupt samples; drift with its sigma, sigma of the offset and jitter of the
+        clock; the time offset with its sigma. What is not known is left out.
         """
         found: dict[str, float | int] = named(self.counts, ("lost", "repeated", "late", "corrupt"))
         if self.clock is not None:
