@@ -71,8 +71,8 @@ def load_file(path: Path) -> ModuleType:
     def run() -> ModuleType:
         """Execute the file as module ``name`` and return it, with its text noted, by which a change is seen later.
 
-        The module is in ``sys.modules`` from before that, in place of an earlier one. ImportError if it is not a Python
-        file.
+        The module is in ``sys.modules`` from before that, in place of an earlier one, and stays there without its text
+        if it fails. ImportError if it is not a Python file.
         """
         spec = spec_from_file_location(name, path)
         if spec is None or spec.loader is None:

@@ -266,7 +266,8 @@ def _line_through(points: list[tuple[float, float]], most_drift: float, known_to
 
     Starts from the median slope of well separated pairs (Theil-Sen), then three rounds of least squares without
     outliers, with a prior of zero on the slope and its size limited to ``most_drift``. ``known_to`` is a lower limit
-    for the standard deviation of one point, from which those of value and slope follow.
+    for the standard deviation of one point, from which those of value and slope follow. The line has its value at the
+    mean time of the points that are no outliers.
     """
     t, y = np.array(points).T
     half = (len(t) + 1) // 2

@@ -25,6 +25,8 @@ class Check:
     def of(self, data: bytes) -> int:
         """Return the checksum of ``data``, as a number of ``bits`` bits: a CRC, xor, Fletcher or the sum of bytes,
         maybe negated.
+
+        Fletcher's has the plain sum in its upper half.
         """
         if self.kind == "crc":
             return self._crc(data)

@@ -100,6 +100,7 @@ class Exchange:
         """Prepare for requests of two attempts of ``timeout_s`` each, resynchronisation included.
 
         ``framing`` is the language of the controller: how requests, answers and tokens look. ``device`` is for errors.
+        The first request resynchronises. The counts are those of the link, if it has any.
         """
         self._device, self._link, self._framing, self._timeout_s = device, link, framing, timeout_s
         self._turn = Turn()

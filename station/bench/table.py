@@ -81,8 +81,8 @@ class TableConfig:
 def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) -> TableConfig:
     """Return the table of the section [table]; the table's error with line and key if it is invalid.
 
-    Its protocol is one of ``known``; paths count from ``folder``. Checked are the number of axes, their links, and that
-    no two have the same address at the same link.
+    Its protocol is one of ``known``; paths count from ``folder``. Checked are the number of axes, their links, which no
+    axis of a twin may have, and that no two have the same address at the same link.
     """
     own = table.read("bench.table", folder, protocol=known_in(known))
     spec, gimbals, sheet = own["spec"], own.pop("gimbals"), own.pop("uncertainty")
@@ -111,7 +111,8 @@ def read_table(table: Table, folder: Path, known: Registry[TableSpec] = TABLES) 
 def _axis(table: Table, spec: TableSpec, folder: Path) -> AxisSetup:
     """Return the setup of one axis; the table's error if its travel does not include home or its counts are missing.
 
-    A protocol in degrees needs no counts: they matter to a twin alone, and are 3 600 000 by default.
+    A protocol in degrees needs no counts: they matter to a twin alone, and are 3 600 000 by default. Resolution and
+    step of acceleration follow from them. The address is 1 where the protocol has none.
     """
     limits, counts = table.read("bench.axis", list_length=2), table.read("bench.encoder")["counts_per_turn"]
     low, high = limits["travel_rad"] or (-math.inf, math.inf)

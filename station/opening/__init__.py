@@ -169,9 +169,9 @@ async def open_bench(bench: Bench, *, time_scale: float = 1.0) -> AsyncIterator[
     """Build links, twins and drivers of the used devices; all twins end with the context. Drivers are not opened.
 
     ``time_scale`` is how fast the loop's clock runs: times that wait for a host, not for physics, are stretched by it,
-    but never shortened. Links of devices that have to be made safe are locked: DeviceRefused if another program of this
-    machine holds one. BenchError if no device under test is used, or for an invalid link or truth of a twin;
-    PluginError for a kind of device without a twin.
+    but never shortened. Links of devices that have to be made safe are locked until the context ends: DeviceRefused if
+    another program of this machine holds one. BenchError if no device under test is used, or for an invalid link or
+    truth of a twin; PluginError for a kind of device without a twin.
     """
     used = [imu for imu in bench.imus if imu.used]
     if not used:
@@ -223,8 +223,9 @@ async def _table_driver(bench: Bench, twins: Twins, time_scale: float) -> tuple[
 def _other_driver(config: DeviceConfig, twins: Twins, time_scale: float) -> OpenDevice:
     """Return the driver of a device of another kind, with the pickle that rebuilds it in another process.
 
-    The pickle is empty unless it has to be made safe, and for a twin and on Windows. A twin is started. BenchError for
-    an invalid link, PluginError for a kind of device without a twin.
+    The pickle is empty unless it has to be made safe, and for a twin and on Windows. The counts are None if the driver
+    opens its links itself. A twin is started. BenchError for an invalid link, PluginError for a kind of device without
+    a twin.
     """
     spec = config.spec
     setup = DeviceSetup(

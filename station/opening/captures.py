@@ -254,7 +254,10 @@ def _read_galil(sample_s: float, raw: bytes, _names: Sequence[str]) -> _Decoded:
 
 
 def _galil_record(header: bytes) -> tuple[np.dtype[Any] | None, str]:
-    """Return the layout of records with this header (4 bytes) and the controller family; None and "" if none has it."""
+    """Return the layout of records with this header (4 bytes) and the controller family; None and "" if none has it.
+
+    Its fields are "time" in samples and, for each axis, "A.reference", "A.position" and "A.auxiliary" in counts.
+    """
     axes = [axis for bit, axis in enumerate("ABCDEFGH") if header[1] >> bit & 1]
     planes = (header[0] & 3).bit_count()
     for family, (general, plane, block) in packaged_toml("drivers", "layouts.toml")["galil"].items():

@@ -63,7 +63,8 @@ class Reopening:
         """Reopen a lost link and check that the same device is there; note that in the recording and in ``times``.
 
         Raises ``error`` at once if the table moves; LinkLost if it has to move before the link is open, or after a
-        minute; DeviceFault if another device answers.
+        minute; DeviceFault if another device answers. A BadReply is tried again, other errors pass through. Meanwhile
+        ``under_way`` has the device; both an attempt and its success are told.
         """
         if self._moving():
             raise error

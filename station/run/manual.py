@@ -142,8 +142,8 @@ class ManualSequencer(Sequencer):
     async def _obey(self, step: Move) -> None:
         """Carry out a move while it is wanted, then halt the axis unless it arrived.
 
-        A move without an end is a jog. A refusal by the table is only reported, but DeviceRefused raised if the axis
-        does not come to rest. The motion is recorded as a step.
+        It is told when it begins. A move without an end is a jog. A refusal by the table is only reported, but
+        DeviceRefused raised if the axis does not come to rest. The motion is recorded as a step.
         """
         loop, axis = asyncio.get_running_loop(), step.axis
         from_rad = self._target_rad[axis]

@@ -299,8 +299,8 @@ class _Source:
         """Prepare the leading message, that of the rates, and a companion for each further message.
 
         A companion belongs to the leading frame before it if its identifier is larger and it has more than a
-        temperature, else to the one after it. Samples are timed by the time or counter signal if there is one, else by
-        their rhythm.
+        temperature, else to the one after it. Samples are timed by the time or counter signal if there is one, which
+        wraps as the channel says, else at its number of bits; without one by their rhythm.
         """
         self.counts = SourceCounts()
         self._signals = signals

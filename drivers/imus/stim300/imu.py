@@ -143,7 +143,8 @@ class Stim300Imu(OneSource[ByteLink]):
     def _decode(self) -> None:
         """Decode the chunks received, if any, and give each datagram the arrival time of the chunk with its last byte.
 
-        Configurations and other replies are also kept in ``_said``, the last of each kind.
+        Configurations and other replies are also kept in ``_said``, the last of each kind. How many bytes make a block
+        follows from the last datagram.
         """
         chunks, self._chunks, self._chunk_bytes = self._chunks, [], 0
         if not chunks:

@@ -70,8 +70,9 @@ class XsensImu(XbusDevice):
     async def configure(self) -> None:
         """Configure counters, rate of turn, acceleration and temperature as output, and start measuring.
 
-        Acceleration and temperature may be granted at another rate or not at all. LinkLost if it does not answer;
-        BadReply for an invalid answer; DeviceRefused for an error, or if rates come at another rate or without times.
+        Acceleration and temperature may be granted at another rate or not at all, and it is noted whether acceleration
+        is. LinkLost if it does not answer; BadReply for an invalid answer; DeviceRefused for an error, or if rates come
+        at another rate or without times.
         """
         await self._request(Mid.GO_TO_CONFIG)
         wanted = mtdata2.encode_outputs(
@@ -300,8 +301,9 @@ class _Timing:
         """Return as flags (n,) which counts continue the ones before and are not ahead of their arrival; count the
         others.
 
-        A count may be less than two samples behind the newest. That it is more than 0.25 s ahead of its arrival is
-        looked at only after 2 s.
+        The first count ever is taken as it is; later ones that are left out in a row make the device ``astray``. A
+        count may be less than two samples behind the newest. That it is more than 0.25 s ahead of its arrival is looked
+        at only after 2 s.
         """
         if self._newest is None:
             self._first = self._newest = int(count[0])

@@ -63,7 +63,8 @@ class AcutrolTable(LineTable):
     def __init__(self, setup: TableSetup, link: ByteLink) -> None:
         """Prepare for axes whose addresses are numbers; ValueError if two axes have the same one.
 
-        The option ``reply_prefix`` is the number of bytes before each answer.
+        The option ``reply_prefix`` is the number of bytes before each answer. To resynchronise, the synthesis mode of
+        the first axis is used.
         """
         self._axes = {name: _Axis(axis) for name, axis in setup.axes.items()}
         numbers = [axis.address for axis in setup.axes.values()]
@@ -139,8 +140,8 @@ class AcutrolTable(LineTable):
     async def jog(self, axis: str, rate_rps: float, acceleration_rps2: float) -> None:
         """Turn an axis at a rate (rate mode) until the next command, in place of its last move or jog.
 
-        The limits of the bench file are not checked. DeviceRefused if rate mode is not entered within 1 s. A failure
-        later is raised by ``read`` or ``status``.
+        Its angle is read in the background, to count its turns. The limits of the bench file are not checked.
+        DeviceRefused if rate mode is not entered within 1 s. A failure later is raised by ``read`` or ``status``.
         """
         self._moved, task = axis, _Task(math.degrees(rate_rps), math.degrees(acceleration_rps2))
         self._axes[axis].task = task

@@ -67,8 +67,8 @@ class GalilTable(LineTable):
     async def enable(self) -> None:
         """Switch on every motor that is off, where it stands, with its error limit if that is stated.
 
-        The controller is told to switch it off on errors. Motors that are on are left alone. DeviceFault if an axis is
-        in fault or its motor stays off.
+        The controller is told to switch it off on errors; that it goes off later is a fault. Motors that are on are
+        left alone. DeviceFault if an axis is in fault or its motor stays off.
         """
         for axis, own in self._axes.items():
             if (await self._sound(axis)).enabled:

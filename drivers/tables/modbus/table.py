@@ -227,9 +227,9 @@ class ModbusTable(Table):
     async def move(self, axis: str, angle_rad: float, rate_rps: float, acceleration_rps2: float) -> None:
         """Start a move to an angle from home (profile position mode), and wait until the drive has taken the set point.
 
-        ``rate_rps`` is a speed, of which the sign is ignored; the limits of the bench file are not checked. A drive
-        that does not show in 20 ms that it has taken the set point counts as having taken it. DeviceRefused for a value
-        that does not fit its register.
+        ``rate_rps`` is a speed, of which the sign is ignored; the acceleration is that of both ramps; the limits of the
+        bench file are not checked. A drive that does not show in 20 ms that it has taken the set point counts as having
+        taken it. DeviceRefused for a value that does not fit its register.
         """
         self._moved = axis
         await self._write(axis, "mode", cia402.MODE_PROFILE_POSITION)

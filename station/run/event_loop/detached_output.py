@@ -75,7 +75,8 @@ class _PatientStream:
         self._thread.join(max(limit_s - time.monotonic(), 0.0))
 
     def _write_all(self) -> None:
-        """Write queued texts until an empty one comes; texts that cannot be written are dropped."""
+        """Write queued texts until an empty one comes, and take each off ``_waiting``; what cannot be written is
+        dropped."""
         errors = self._stream.errors or "replace"
         while text := self._texts.get():
             with suppress(OSError):  # its reader is gone
