@@ -23,9 +23,9 @@ _LEAST_GATHER_S = 0.002  # less saves nothing; more, in scaled time, would excee
 def driver_link(spec: DeviceSpec, link: str, device: str, time_scale: float = 1.0, *, gather_s: float = 0.0) -> Any:
     """Return the link for the driver of a device: CAN frames, serial or TCP bytes, not yet open; BenchError if invalid.
 
-    A driver that opens links itself gets the address: a ``SerialPort``, or host and port. Time limits are stretched by
-    ``time_scale``, how fast the loop's clock runs. Bytes of a serial stream may be handed over every ``gather_s``, in s
-    of that clock; 0 hands them over at once.
+    A driver that opens links itself gets the address: a ``SerialPort``, or host and port. A TCP port or baud rate that
+    the link lacks is the protocol's. Time limits are stretched by ``time_scale``, how fast the loop's clock runs. Bytes
+    of a serial stream may be handed over every ``gather_s``, in s of that clock; 0 hands them over at once.
     """
     if spec.on_can:
         return CanLink(device, *can_address(link, device))
@@ -72,7 +72,8 @@ def can_address(link: str, device: str) -> tuple[str, str, dict[str, Any]]:
 def _serial(url: SplitResult, link: str, device: str, baud: int) -> SerialPort:
     """Return the serial port of a link, with ``baud`` as its default rate, no parity and one stop bit by default.
 
-    BenchError, which names ``device``, for another kind of link, and an unknown or invalid option.
+    Its port is a path or, of socket and rfc2217, the link without options. BenchError, which names ``device``, for
+    another kind of link, and an unknown or invalid option.
     """
     options = {key: values[0] for key, values in parse_qs(url.query).items()}
     port = url.path if url.scheme == "serial" else link.partition("?")[0]

@@ -162,7 +162,7 @@ class MotionGuard:
         """Return in words that an axis stands, by its readings, or its rate is wrong, although its course turns it.
 
         ``way`` has the readings of the last moments, ``command`` the command, which may begin late by ``late_s``. "" if
-        that is not so, there is no course, or it may be over.
+        that is not so, there is no course, or it may be over and the axis is at its target.
         """
         course = command.course
         if course is None or (course.may_be_over(way.until_s) and abs(way.angle_rad - course.target_rad) < _ANGLE_RAD):

@@ -226,7 +226,8 @@ def _frames_at(view: bytes, at: int) -> tuple[Frames | None, int]:
 
 
 def _read_header(view: bytes, at: int) -> tuple[int, tuple[tuple[int, int], ...] | None]:
-    """Return where in ``view`` the header of the frame that begins at ``at`` ends, and its (group, fields) pairs.
+    """Return where in ``view`` the header of the frame that begins at ``at`` ends, and its (group, bits of fields)
+    pairs.
 
     Without a header (None): an end beyond the view if it is cut off; 0 if it is invalid, that is without fields or with
     unknown groups or fields, whose size is unknown. Both selectors may be extended by a second word, of groups by an

@@ -171,10 +171,10 @@ class AcutrolTable(LineTable):
     async def status(self, axis: str) -> AxisStatus:
         """Read mode and interlock of an axis, and the status byte for the text of a fault.
 
-        A fault is one of the interlock, which is then reported as open, too. Enabled means any mode but off, with the
-        interlock neither open nor in fault. An enabled axis has reached its target at the end of its move, at the rate
-        of its jog to 0.02 deg/s, and always without either. The DeviceError of a move or jog that failed, of whichever
-        axis, is raised once instead.
+        A fault is one of the interlock, which only then is reported as open, too. Enabled means any mode but off, with
+        the interlock neither open nor in fault. An enabled axis has reached its target at the end of its move, at the
+        rate of its jog to 0.02 deg/s, and always without either. The DeviceError of a move or jog that failed, of
+        whichever axis, is raised once instead.
         """
         self._raise_failure()
         interlock, mode = await self._interlock(axis), await self._mode(axis)

@@ -213,7 +213,7 @@ class GalilTable(LineTable):
         await self._rest(lambda axis: ("AB",), self.read)
 
     async def reset_fault(self) -> None:
-        """Acknowledge the faults within this driver; DeviceFault if the cause of one is still present.
+        """Acknowledge the faults within this driver; DeviceFault at the first axis whose cause is still present.
 
         A Galil has no command for it: a motor that was switched off is switched on again by ``enable``. A cause is
         present while the abort input is active, or the following error of a motor that is on is too large.

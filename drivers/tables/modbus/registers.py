@@ -114,7 +114,7 @@ def load_profile(name_or_path: str) -> DriveProfile:
     invalid.
 
     Unknown keys are not looked for: station/schema/profile.toml declares the keys, and a bench checks its file by that.
-    Without a command abort, quick_stop is taken for it.
+    A relative path counts from the working folder. Without a command abort, quick_stop is taken for it.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":

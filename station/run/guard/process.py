@@ -184,7 +184,8 @@ async def _until_safe(order: Order, kind: DeviceKind, device: Any, say: "_Log", 
     """Make one device safe, trying again for a minute, then give up; progress and outcome go to ``say``.
 
     ``tried`` is called after every attempt. Before a new attempt the device is closed, as a new connection is made
-    then. A driver without ``make_safe`` leaves its device as it is.
+    then. Any exception of the driver counts as a failed attempt. A driver without ``make_safe`` leaves its device as it
+    is.
     """
     loop = asyncio.get_running_loop()
     began_s = loop.time()

@@ -244,7 +244,7 @@ class _Problem:
     def _lengthened(self, v: Floats) -> _Solved | None:
         """Return the script with these times, or with longer ones with which every sigma is reached.
 
-        None if there are none up to ``LONGEST_S``, or if a sigma is too far beyond its limit.
+        None if a few tries bring none up to ``LONGEST_S``, or if a sigma is too far beyond its limit.
         """
         longer = 0.0
         for _ in range(_MOST_LONGER):
