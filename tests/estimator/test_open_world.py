@@ -197,6 +197,46 @@ def test_a_wobbling_axis_leans_as_it_did_when_it_has_come_round() -> None:
     np.testing.assert_allclose(leaning[rounds], 0.0, atol=2e-5)
 
 
+def test_a_table_on_isolators_leans_in_proportion_to_the_moment_of_its_load() -> None:
+    case = Case("soft_isolators", 1.0, 0)
+    attitude = scene_without_noise(case, 1).motion.attitude
+    in_body = columns_of(case, 1) @ np.linalg.pinv(ARRAY.p).T
+    in_base = np.einsum("nij,nj->ni", attitude, in_body)
+    tilt_rad = np.cumsum(in_base, axis=0) * 0.01
+    moved = attitude - attitude[0]
+    moments = np.vstack([moved[:, 1], -moved[:, 0]])  # about x and y, of a weight in each direction of the body
+    leaning = np.concatenate([tilt_rad[:, 0], tilt_rad[:, 1]])
+    loads_rad = np.linalg.lstsq(moments, leaning, rcond=None)[0]
+    np.testing.assert_allclose(moments @ loads_rad, leaning, atol=2e-5)
+    assert 1.2e-3 < np.linalg.norm(loads_rad) < 2.0e-3
+    assert np.abs(tilt_rad[:, 2]).max() < 2e-5
+
+
+def test_a_bruised_ring_reads_right_again_beyond_its_bruise() -> None:
+    case = Case("bruised_encoder_ring", 1.0, 0)
+    motion = scene_without_noise(case, 0).motion
+    in_body = columns_of(case, 0) @ np.linalg.pinv(ARRAY.p).T
+    readings_deg = np.einsum("ngi,ni->ng", motion.axes, np.cumsum(in_body, axis=0) * 0.01) / DEG
+    swings_deg = np.sort(np.ptp(readings_deg, axis=0))
+    assert swings_deg[-1] == pytest.approx(0.12, rel=0.02)
+    assert swings_deg[1] < 1e-9
+    np.testing.assert_allclose(readings_deg[-1], 0.0, atol=1e-3)
+    assert 0.02 < np.mean(np.abs(in_body).max(axis=1) > 1e-3 * DEG) < 0.2
+
+
+def test_a_brake_lets_its_axis_go_the_same_while_after_it_stops_in_every_run() -> None:
+    case = Case("holding_brake", 1.0, 0)
+    waits_s = []
+    for number in range(3):
+        turning = np.abs(scene_without_noise(case, number).motion.rate_rps).max(axis=1) > 0.05 * DEG
+        released = column_of(case, number) != 0.0
+        assert not released[: np.flatnonzero(turning)[0]].any()
+        assert released[turning].all()
+        waits_s.append(0.01 * (np.flatnonzero(released)[-1] - np.flatnonzero(turning)[-1]))
+    np.testing.assert_allclose(waits_s, waits_s[0], atol=1e-9)
+    assert 2 < waits_s[0] < 8
+
+
 def test_the_last_direction_stays_through_a_rest() -> None:
     rates = np.array([[0.0], [1.0], [0.0], [-1.0], [0.0]])
     np.testing.assert_array_equal(last_sign(rates)[:, 0], [0, 1, 1, -1, -1])
@@ -234,7 +274,7 @@ def test_every_case_is_in_one_half_and_a_newer_kind_as_a_whole() -> None:
     assert set().union(*halves) == everything
     development, sealed, *newer = ({case.kind for case in half} for half in halves)
     assert development == sealed
-    assert [len(kinds) for kinds in newer] == [10, 10, 6, 6, 10, 10, 12]
+    assert [len(kinds) for kinds in newer] == [10, 10, 6, 6, 10, 10, 12, 16]
     assert sum(map(len, newer)) + len(development) == len(KINDS)
     assert set().union(development, *newer) == set(KINDS)
 

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from estimator.geometry.array import SensorArray, tetrahedron
 from estimator.recordings.recording import ImuData, Recording
-from open_worlds import effects, fifth_sealed, fourth, fourth_sealed, fresh, fresh_sealed, third, third_sealed
+from open_worlds import (
+    effects,
+    fifth_sealed,
+    fourth,
+    fourth_sealed,
+    fresh,
+    fresh_sealed,
+    sixth_sealed,
+    third,
+    third_sealed,
+)
 from open_worlds.effects import Kind, Scene
 from open_worlds.motion import DEG, SCRIPTS, SITE, motion_of
 from sims.physics.hidden.temperature import Temperature
@@ -47,6 +57,7 @@ NEWER: dict[str, dict[str, Kind]] = {
     "fourth": fourth.KINDS,
     "fourth-sealed": fourth_sealed.KINDS,
     "fifth-sealed": fifth_sealed.KINDS,
+    "sixth-sealed": sixth_sealed.KINDS,
 }
 """Newer kinds by the half that they are in as a whole."""
 OLDER = ("development", "sealed")
