@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.effects.conditions import Conditions, body_acceleration
 from estimator.estimation.noise_evidence import TooShort
@@ -18,7 +19,7 @@ from estimator.packaged import sentence
 from estimator.recordings.motion.body_rates import BodyRates
 from estimator.recordings.recording import ImuData, Recording
 from estimator.recordings.reference import TableReadings
-from estimator.types import Floats, Stamps
+from estimator.types import Flags, Floats, Stamps
 
 _GROUP_S = 0.005  # samples closer than this are averaged before the force at them is computed
 _FULL = 0.5  # share of the usual number of samples below which a block does not count
@@ -88,11 +89,8 @@ def force_run(
     rates = BodyRates.of(table, None)
     t_ns, outputs = _grouped(samples)
     t_ns = t_ns - round(delay_s * 1e9)
-    inside = (t_ns >= rates.starts_ns) & (t_ns <= rates.final_until_ns) & np.isfinite(outputs).all(axis=1)
-    t_ns, outputs = t_ns[inside], outputs[inside]
-    if len(t_ns):
-        known = np.isfinite(rates.at(t_ns)).all(axis=1)
-        t_ns, outputs = t_ns[known], outputs[known]
+    known = _known(rates, t_ns, outputs)
+    t_ns, outputs = t_ns[known], outputs[known]
     if len(t_ns) < _FEWEST_BLOCKS:
         raise TooShort(sentence("estimation.short_for_effects", recording=recording.name, source=source))
     force = force_at_place(rates, table.gimbals, t_ns, arm_m, gravity_mps2)
@@ -113,6 +111,7 @@ def force_run(
     z[where] = blocks.z_rps
     weight[where] = blocks.rows >= _FULL * np.median(blocks.rows)
     t_s = np.asarray(origin_ns * 1e-9 + (index + 0.5) * length_s, dtype=np.float64)
+    share = _shares(t_ns - origin_ns, index, length_s)
     return ForceRun(
         name=recording.name,
         source=source,
@@ -124,10 +123,18 @@ def force_run(
         weight=weight,
         stretch=np.cumsum(np.diff(index, prepend=index[:1]) > 1).astype(np.intp),
         grid=_conditions(recording, data, table, rates, t_s, length_s, arm_m, gravity_mps2),
-        fold=lambda columns: block_means(columns, count),
+        fold=lambda columns: block_means(columns * share[:, None], count),
         recording=recording,
         samples=samples,
     )
+
+
+def _known(rates: BodyRates, t_ns: Stamps, outputs: Floats) -> Flags:
+    """Return as flags (n,) at which instants all outputs (n, a) are finite and it is known what they ought to be."""
+    known = (t_ns >= rates.starts_ns) & (t_ns <= rates.final_until_ns) & np.isfinite(outputs).all(axis=1)
+    if known.any():
+        known[known] = rates.felt_known(t_ns[known])
+    return np.asarray(known)
 
 
 def force_at_place(
@@ -137,12 +144,12 @@ def force_at_place(
 
     ``arm_m`` (3,) is the place r from the point in which the axes of the table meet.
     """
-    angle, rate = rates.angles_at(t_ns), rates.gimbals_at(t_ns)[1]
+    angle, rate, acceleration = rates.felt_at(t_ns)
     force = into_body(np.array([0.0, 0.0, gravity_mps2]), angle, gimbals)
     if not np.any(arm_m):
         return force
     w = body_rate(angle, rate, gimbals)
-    wdot = body_acceleration(angle, rate, rates.accelerations_at(t_ns), gimbals)
+    wdot = body_acceleration(angle, rate, acceleration, gimbals)
     return np.asarray(force + np.cross(wdot, arm_m) + np.cross(w, np.cross(w, arm_m)))
 
 
@@ -166,6 +173,27 @@ def _grouped(samples: ForceSamples) -> tuple[Stamps, Floats]:
     return instants[together], means[together]
 
 
+def _steps(length_s: float) -> int:
+    """Return how many instants of the grid of conditions are in a block of this length."""
+    return max(round(length_s / GRID_S), 1)
+
+
+def _shares(since_ns: Stamps, index: NDArray[np.int64], length_s: float) -> Floats:
+    """Return how much each instant of the grid (b * steps,) counts in the mean of its block, 1 on average.
+
+    ``since_ns`` (n,) are the instants of samples from the beginning of block 0, ``index`` (b,) the blocks. Block means
+    of laws and of outputs are over the same part of a block: gravity would else seem to differ from scale factors. In
+    a block without samples all count alike.
+    """
+    steps = _steps(length_s)
+    cell = since_ns * steps // round(length_s * 1e9)
+    place = np.minimum(np.searchsorted(index, cell // steps), len(index) - 1)
+    held = index[place] == cell // steps
+    counts = np.bincount((place * steps + cell % steps)[held], minlength=len(index) * steps).reshape(-1, steps)
+    total = counts.sum(axis=1, keepdims=True)
+    return np.asarray(np.where(total > 0, counts * steps / np.maximum(total, 1), 1.0).ravel())
+
+
 def _conditions(
     recording: Recording,
     data: ImuData,
@@ -180,7 +208,7 @@ def _conditions(
 
     The specific force is that at the place ``arm_m`` (3,).
     """
-    steps = max(round(length_s / GRID_S), 1)
+    steps = _steps(length_s)
     offsets = (np.arange(steps) + 0.5) / steps * length_s
     grid_s = (t_s[:, None] - 0.5 * length_s + offsets).ravel()
     grid_ns = np.round(grid_s * 1e9).astype(np.int64)
@@ -204,12 +232,12 @@ def force_conditions(
     Earth rate is left out. ``t_s`` (n,) are the instants in s, unrounded if they are known so; ``temperature_c`` (n,)
     is None if not known.
     """
-    angle, rate = rates.angles_at(t_ns), rates.gimbals_at(t_ns)[1]
+    angle, rate, acceleration = rates.felt_at(t_ns)
     conditions = Conditions.on_table(
         np.asarray(t_ns * 1e-9) if t_s is None else t_s,
         angle,
         rate,
-        rates.accelerations_at(t_ns),
+        acceleration,
         gimbals,
         temperature_c=temperature_c,
         site=None,

@@ -104,7 +104,7 @@ class ForceProblem:
         taken = columns[:, :, self._slices[ARM]] @ (arm_m / self._sds[ARM])
         taken += columns[:, :, self._slices[DELAY]] @ (about.delay_s / self._sds[DELAY])
         expected = force @ self.array.p.T - taken
-        expected[~np.isfinite(rates.at(earlier_ns)).all(axis=1)] = np.nan
+        expected[~rates.felt_known(earlier_ns)] = np.nan
         return ForceColumns(columns=columns, expected_mps2=expected)
 
     def plausible_mps2(self, columns: Floats) -> Floats:

@@ -8,7 +8,9 @@ import numpy as np
 
 from estimator.errors import RecordingError
 from estimator.geometry.kinematics import Site, body_rate, check_gimbals
-from estimator.recordings.motion.growing_rows import GrowingRows, drift_of, integrated
+from estimator.recordings.motion.as_read import SURE_RPS, as_read, followed_by
+from estimator.recordings.motion.felt import felt_at, felt_known, interpolated, mean_slopes
+from estimator.recordings.motion.growing_rows import GrowingRows, drift_of, final_rows, integrated, rows_of_motion
 from estimator.recordings.motion.ramps import (
     HOLD_S,
     LEAST_RPS2,
@@ -36,9 +38,7 @@ ANCHOR_HALF_WINDOW_NS = 3_000_000_000
 _STEADY_SHARE, _STEADY_RPS = 0.005, 2e-4  # rates that differ by no more than these together are those of a steady turn
 _ANGLE_SD_RAD = 1e-4  # of an angle whose instant is known
 _RATE_SD_RPS = 3e-4  # error of a rate reading before the angles correct it
-_SURE_RPS = float(np.radians(0.02))  # accuracy of a rate within a ramp that its instant's uncertainty must leave
 _NEAR_NS = 1_000_000  # distance on both sides at which a change of rate is searched
-_HALF_SPAN_NS = 10_000_000  # to each side of an acceleration: a mean over it is hardly touched by noise of rates
 _AT_ONCE = 1024  # readings: sums over more lose digits
 _KEPT_NS = 60_000_000_000  # rows and readings: more than windows, ramps and gaps between readings reach back
 _MADE: "WeakKeyDictionary[TableReadings, dict[Site | None, BodyRates]]" = WeakKeyDictionary()
@@ -68,12 +68,8 @@ class BodyRates:
         self._read = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), summed=(n,), half_s=(), change=np.bool_)
         self._taken = self._window_ns = 0
         self._site = site
-        # ``corner_s``: doubt of a corner, NaN for none; ``known``: whether what happened since the row before is. The
-        # first ``_done`` are final, too; there ``sure`` is the same. Rows and readings are kept only while needed.
-        self._rows = GrowingRows(
-            t_ns=np.int64, angle=(n,), rate=(n,), summed=(n,), half_s=(), measured=(), corner_s=(n,), known=np.bool_
-        )
-        self._final = GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), sure=np.bool_)
+        # The first ``_done`` rows are final, too. Rows and readings are kept only while needed.
+        self._rows, self._final = rows_of_motion(n), final_rows(n)
         self._done, self._starts_ns = 0, 2**62
 
     @classmethod
@@ -214,11 +210,13 @@ class BodyRates:
             first, last = max(start - 1 - low, 0) + int(own[0]), max(start - 1 - low, 0) + int(own[-1]) + 1
             if not is_ramp(rate[first : last + 1, None]):
                 continue
-            ramp = fitted((t_s, angle, rate, self._read["half_s"][part], self._window_ns * 1e-9), first, last)
+            readings = t_s, angle, rate, self._read["half_s"][part], self._window_ns * 1e-9
+            ramp = fitted(readings, first, last)
             if ramp is not None:
                 corners = times[low] + np.round(ramp.t_s * 1e9).astype(np.int64)
                 reading_rps = ramp.reading_rps[self._taken - low : stop - low]
-                found.append((column, corners, replace(ramp, reading_rps=reading_rps)))
+                followed = followed_by(ramp, readings, first, last)
+                found.append((column, corners, replace(ramp, reading_rps=reading_rps, followed=followed)))
             elif self._window_ns:
                 found.append((column, times[:0], None))
         return found
@@ -238,14 +236,20 @@ class BodyRates:
         rate = centred(t_ns, self._read["t_ns"][known], self._read["rate"][known], self._window_ns)
         half_width_s, measured = self._read["half_s"][part], np.ones(stop - start)
         corner_s = np.full(rate.shape, np.nan)
+        felt, sharp = (angle, rate, corner_s), np.zeros(stop - start, dtype=np.bool_)
         if ramps:
             # From the row before on: in between the corners lie.
             known_ns = np.concatenate([self._rows["t_ns"][-1:], t_ns])
             angles, rates = np.vstack([self._rows["angle"][-1:], angle]), np.vstack([self._rows["rate"][-1:], rate])
             t_ns, angle, rate, corner_s = with_corners(known_ns, angles, rates, ramps)
+            angles[0], rates[0] = self._rows["felt_angle"][-1], self._rows["felt_rate"][-1]
+            felt = as_read(t_ns, angle, rate, known_ns, (angles, rates), ramps)
+            sharp = np.isin(t_ns, [corner for _, corners, ramp in ramps if ramp.followed for corner in corners])
             measured = np.isin(t_ns, known_ns).astype(np.float64)
             half_width_s = np.where(measured > 0, np.interp(t_ns, known_ns[1:], half_width_s), 0.0)
-        self._add_rows(t_ns, angle, rate, half_width_s, measured, corner_s, known=len(ramps) == len(changes))
+        self._add_rows(
+            t_ns, angle, rate, half_width_s, measured, corner_s, (*felt, sharp), known=len(ramps) == len(changes)
+        )
 
     def _add_rows(
         self,
@@ -255,6 +259,7 @@ class BodyRates:
         half_width_s: Floats,
         measured: Floats,
         corner_s: Floats,
+        felt: tuple[Floats, Floats, Floats, Flags],
         *,
         known: bool,
     ) -> None:
@@ -262,8 +267,8 @@ class BodyRates:
 
         ``angle`` and ``rate_rps`` (n, g) are those of g gimbals, ``half_width_s`` (n,) the doubt of each instant.
         ``measured`` (n,) is 1 for a reading, 0 for a computed corner; ``corner_s`` (n, g) the doubt of a corner's
-        instant, NaN without one. A step is understood without a gap if ``known`` is set, else at a corner or if a
-        steady rate explains its angle.
+        instant, NaN without one; ``felt`` are the columns for accelerometers. A step is understood without a gap if
+        ``known`` is set, else at a corner or if a steady rate explains its angle.
         """
         step_ns, rates, summed = integrated(self._rows, t_ns, rate_rps)
         drift = angle - summed
@@ -277,7 +282,7 @@ class BodyRates:
         hidden = np.cumsum(np.where(known_step[:, None], 0.0, unexplained), axis=0)
         summed, drift = summed + hidden, drift - hidden
         self._starts_ns = min(self._starts_ns, int(t_ns[0]))
-        self._rows.append(t_ns, drift + summed, rate_rps, summed, half_width_s, measured, corner_s, known_step)
+        self._rows.append(t_ns, drift + summed, rate_rps, summed, half_width_s, measured, corner_s, known_step, *felt)
 
     def finish(self) -> None:
         """Make the last seconds final too, with windows that end with the readings."""
@@ -299,7 +304,7 @@ class BodyRates:
         gone = int(np.searchsorted(self._final["t_ns"][:-2], before_ns))
         if gone:
             self._final.forget(gone)
-            self._final["sure"][0] = False
+            self._final["sure"][0] = self._final["felt_sure"][0] = False
 
     def at(self, t_ns: Stamps) -> Floats:
         """Return the body rate (rows, 3) in rad/s at ordered instants (rows,) in ns; NaN where it is not known.
@@ -314,52 +319,23 @@ class BodyRates:
 
     def gimbals_at(self, t_ns: Stamps) -> tuple[Floats, Floats]:
         """Return angles and rates (rows, gimbals) at ordered instants; beyond the readings, those of the nearest."""
-        angle, rate = self._interpolated(t_ns, "angle", "rate")
+        angle, rate = interpolated(self._final, t_ns, "angle", "rate")
         return angle, rate
 
-    def _interpolated(self, t_ns: Stamps, *names: str) -> list[Floats]:
-        """Return the named columns of final rows, each (rows, gimbals), at ordered instants, linear in between.
+    def felt_at(self, t_ns: Stamps) -> tuple[Floats, Floats, Floats]:
+        """Return angles, rates and accelerations (rows, gimbals) for accelerometers at ordered instants, as for ``at``.
 
-        They come in the order of ``names``. Beyond the final rows the values are those of the nearest.
+        See ``estimator.recordings.motion.felt``.
         """
-        n, times = len(self._final), self._final["t_ns"]
-        first = min(max(int(times.searchsorted(t_ns[0], side="right")) - 1, 0), n - 1)
-        last = max(min(int(times.searchsorted(t_ns[-1], side="left")) + 1, n), first + 1)
-        known = times[first:last]
-        origin = int(known[0])
-        at_s, known_s = (t_ns - origin) * 1e-9, (known - origin) * 1e-9
-        found = []
-        for name in names:
-            values = self._final[name][first:last]
-            out = np.empty((len(at_s), values.shape[1]))
-            for column in range(values.shape[1]):
-                out[:, column] = np.interp(at_s, known_s, values[:, column])
-            found.append(out)
-        return found
+        return felt_at(self._final, t_ns)
 
-    def angles_at(self, t_ns: Stamps) -> Floats:
-        """Return angles (rows, gimbals) at ordered instants, bent between readings as their rates say.
-
-        On a ramp of 50 deg/s2 a straight line between readings 50 ms apart is wrong by up to 0.3 mrad, which is 3 mm/s2
-        of gravity. Beyond the readings the angles are those of the nearest.
-        """
-        straight, _ = self.gimbals_at(t_ns)
-        times = self._final["t_ns"]
-        before = np.clip(np.searchsorted(times, t_ns, side="right") - 1, 0, max(len(times) - 2, 0))
-        if len(times) < 2:
-            return straight
-        step_s = (times[before + 1] - times[before]) * 1e-9
-        since_s = np.clip((t_ns - times[before]) * 1e-9, 0.0, step_s)
-        slope = (self._final["rate"][before + 1] - self._final["rate"][before]) / step_s[:, None]
-        return np.asarray(straight - 0.5 * slope * (since_s * (step_s - since_s))[:, None])
+    def felt_known(self, t_ns: Stamps) -> Flags:
+        """Return as flags (rows,) whether ``felt_at`` is what accelerometers feel at ordered instants."""
+        return felt_known(self._final, t_ns)
 
     def accelerations_at(self, t_ns: Stamps) -> Floats:
         """Return the mean accelerations (rows, gimbals) over 20 ms about instants as for ``at``, rad/s2."""
-        # A reading and a corner may lie so close together that the slope between them is nothing but rounding.
-        known = self._final["t_ns"]
-        before, after = (np.clip(t_ns + way_ns, known[0], known[-1]) for way_ns in (-_HALF_SPAN_NS, _HALF_SPAN_NS))
-        change = self._interpolated(after, "rate")[0] - self._interpolated(before, "rate")[0]
-        return np.asarray(change / (np.maximum(after - before, 1) * 1e-9)[:, None])
+        return mean_slopes(self._final, t_ns, "rate")
 
     def angular_acceleration_at(self, t_ns: Stamps) -> Floats | None:
         """Return the derivative (rows, 3) of the body rate at instants as for ``at``; None where no axis ramps."""
@@ -418,20 +394,23 @@ class BodyRates:
         scatter = np.maximum(dd - d * d / weight - across**2 / spread, 0.0)
         share = np.minimum(scatter / np.where(u > 0, u, np.inf) * count / np.maximum(count - 2, 1), 1.0)
         slope = np.where(enough, across / (spread + share / _RATE_SD_RPS**2), 0.0)
-        sure = self._rows["known"][start:stop] & self._timed(start, stop, share)
         part = slice(start, stop)
-        self._final.append(times[part], self._rows["angle"][part], self._rows["rate"][part] + slope, sure)
+        known, angle, rate, sharp = (self._rows[name][part] for name in ("known", "felt_angle", "felt_rate", "sharp"))
+        felt = angle, rate + slope, known & self._timed(start, stop, share, "felt_rate", "felt_s"), sharp
+        sure = known & self._timed(start, stop, share, "rate", "corner_s")
+        self._final.append(times[part], self._rows["angle"][part], self._rows["rate"][part] + slope, sure, *felt)
         self._done = stop
 
-    def _timed(self, start: int, stop: int, share: Floats) -> Flags:
+    def _timed(self, start: int, stop: int, share: Floats, rates: str, corners: str) -> Flags:
         """Return as flags (rows,) whether the rates since the row before are known in spite of their instants' doubt.
 
         ``share`` (rows, gimbals) is the part of the doubt's variance that the scatter of the angles shows to be real.
+        ``rates`` and ``corners`` are the columns of rates and of the doubts of corners.
         """
         before = np.maximum(np.arange(start, stop) - 1, 0)
-        change = np.abs(self._rows["rate"][start:stop] - self._rows["rate"][before])
+        change = np.abs(self._rows[rates][start:stop] - self._rows[rates][before])
         step_s = np.maximum((self._rows["t_ns"][start:stop] - self._rows["t_ns"][before]) * 1e-9, 1e-9)[:, None]
         doubt_s = np.maximum(self._rows["half_s"][start:stop], self._rows["half_s"][before])[:, None]
-        corner_s = self._rows["corner_s"][start:stop]
+        corner_s = self._rows[corners][start:stop]
         doubt_s = np.where(np.isfinite(corner_s), corner_s, doubt_s * np.sqrt(share / 3))
-        return np.asarray((change / step_s * doubt_s <= _SURE_RPS).all(axis=1))
+        return np.asarray((change / step_s * doubt_s <= SURE_RPS).all(axis=1))

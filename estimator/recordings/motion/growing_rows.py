@@ -49,6 +49,23 @@ class GrowingRows:
         return taken
 
 
+def rows_of_motion(n: int) -> GrowingRows:
+    """Return the rows of the motion of n gimbals, none yet.
+
+    ``corner_s`` is the doubt of a corner, NaN for none; ``known`` whether what happened since the row before is. Those
+    that begin with ``felt`` are the same for accelerometers (``felt``), ``sharp`` are corners of the ramps in them.
+    """
+    read: dict[str, Any] = {"t_ns": np.int64, "angle": (n,), "rate": (n,), "summed": (n,), "half_s": (), "measured": ()}
+    felt: dict[str, Any] = {"felt_angle": (n,), "felt_rate": (n,), "felt_s": (n,), "sharp": np.bool_}
+    return GrowingRows(**read, corner_s=(n,), known=np.bool_, **felt)
+
+
+def final_rows(n: int) -> GrowingRows:
+    """Return the final rows of the motion of n gimbals, none yet: whether it is ``sure`` since the row before."""
+    felt: dict[str, Any] = {"felt_angle": (n,), "felt_rate": (n,), "felt_sure": np.bool_, "sharp": np.bool_}
+    return GrowingRows(t_ns=np.int64, angle=(n,), rate=(n,), sure=np.bool_, **felt)
+
+
 def integrated(before: GrowingRows, t_ns: Stamps, rate_rps: Floats) -> tuple[Stamps, Floats, Floats]:
     """Return steps (k,) in ns since the previous row, rates (k + 1, gimbals) from it on, and their integral (k,
     gimbals).

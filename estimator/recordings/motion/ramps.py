@@ -66,7 +66,8 @@ class Ramp:
     """A ramp: corners at ``t_s`` (k,) with angles and rates there, and the modelled rates of the readings (n,).
 
     Rates are in the scale of the rate readings, ``scale`` times that of the angles. ``sd_s`` is the largest standard
-    deviation of a corner's instant, of corners where the slope changes noticeably.
+    deviation of a corner's instant, of corners where the slope changes noticeably; it is large where the readings do
+    not fit, ``fitted_s`` is not. ``followed`` says that both angles and rates are those of the ramp (``followed_by``).
     """
 
     t_s: Floats
@@ -75,6 +76,8 @@ class Ramp:
     reading_rps: Floats
     sd_s: float
     scale: float
+    fitted_s: float = np.nan
+    followed: bool = True
 
 
 def centred(at_ns: Stamps, t_ns: Stamps, rate_rps: Floats, window_ns: int) -> Floats:
@@ -150,10 +153,10 @@ def fitted(readings: Readings, first: int, last: int) -> Ramp | None:
             continue
         misfit = _misfit(ramp, readings, first, last, noise)
         if misfit < _FITS or misfit * noise[0] < _BELIEVED_RAD:
-            return ramp
+            return replace(ramp, fitted_s=ramp.sd_s)
         if misfit < least:
             best, least = ramp, misfit
-    return None if best is None else replace(best, sd_s=LONGEST_S)  # none of these fits
+    return None if best is None else replace(best, sd_s=LONGEST_S, fitted_s=best.sd_s)  # none of these fits
 
 
 def _scatter_sd(t_s: Floats, angle_rad: Floats) -> Floats:
