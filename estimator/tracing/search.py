@@ -27,6 +27,8 @@ _LOST = 0.3  # share by which the size of a lag may differ from that of its colu
 _UNEXCITED = 0.5  # sigmas of an effect of the largest plausible size, all gyros and runs together
 _COPIED = 9.0  # squares over noise that a copy of an effect leaves in a gyro, within chance
 _RICH = 0.1  # scale of all effects at once, when the possible noise is determined
+_SETTLED = 3  # rounds in which constants are tuned beside each other
+_RISEN = 0.02  # natural logarithm by which a better constant must explain more
 _RESOLVED = 0.1  # of the time between readings: shorter delays are not distinguished from interpolation errors
 
 
@@ -169,6 +171,7 @@ class Search:
                     suspects = ()  # an impossible effect is no suspect
                 continue
             chosen, terms = self._exchanged(chosen, terms)
+            terms = {c.name: term for c, term in self.settled([(self.known[name][0], terms[name]) for name in chosen])}
             chain.append(self.evidence.of([terms[name] for name in chosen]) + tones)
         parts = [*(self.judged(name, chosen, terms) for name in chosen), *self.heard.parts]
         return Found(tuple(parts), tuple(chain), suspects)
@@ -338,6 +341,32 @@ class Search:
         if name == TONE.name:
             return name
         return self.known[name][0].label if name else "nothing"
+
+    def settled(self, model: Sequence[tuple[Candidate, Term]]) -> list[tuple[Candidate, Term]]:
+        """Return the effects of a model with their constants tuned beside each other; the candidates known change too.
+
+        The noise is the one most probable with the whole model: constants that were tuned before an effect was in the
+        model were found under a noise that held what it explains. Sizes of delays and tones stay as they are.
+        """
+        settled = list(model)
+        for _ in range(_SETTLED):
+            moved = False
+            for place, (candidate, term) in enumerate(settled):
+                if candidate.start is None or candidate.by_size:
+                    continue
+                others = [pair for pair in settled if pair[0] is not candidate]
+                noise = int(np.argmax(self.evidence.noise_weight([term for _, term in settled])))
+                scan = Scan(self.columns, self.evidence, [term for _, term in others], noise)
+                tuned = scan.tuned(candidate)
+                if scan.gain(tuned) < scan.gain(candidate) + _RISEN:
+                    continue
+                self.add([tuned])
+                scores = self.scores([term for _, term in others], [other.name for other, _ in others])
+                settled[place] = (tuned, scores[tuned.name][1])
+                moved = True
+            if not moved:
+                break
+        return settled
 
     def _refine(self, terms: Sequence[Term], chosen: Sequence[str]) -> None:
         """Tune time constants, instants and other nonlinear parameters beside the effects chosen so far."""

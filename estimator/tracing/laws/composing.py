@@ -204,8 +204,8 @@ class Composer:
             worths = [self._worth(one) for one in tried]
             if not worths or max(worths) < best + _CLEARLY:
                 break
-            best = max(worths)
-            model = tried[worths.index(best)]
+            model = self._search.settled(tried[worths.index(max(worths))])
+            best = self._worth(model)
         model = [*self._pruned(model)]
         for one in [pair for pair in model if not pair[0].law]:
             rest = [pair for pair in model if pair is not one]
