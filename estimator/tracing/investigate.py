@@ -142,7 +142,9 @@ def _conclude(
     that were seen in the data. ``most`` is the largest number of effects, for a second search if the verification run
     shows an error that the recordings do not.
     """
-    parts, evidence = with_alike_laws(search, _visible(search, found), held_back), search.evidence
+    evidence, visible = search.evidence, _visible(search, found)
+    parts = with_alike_laws(search, visible, held_back)
+    found = found.with_parts(visible, parts)
     weight = evidence.noise_weight([part.term for part in parts])
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)
     named = [part if _of_the_comparison(search, part) else _proven(part, told.get(part.term.name)) for part in parts]

@@ -1,7 +1,8 @@
 """Which effects a model lacks: one is added at a time, and each is tried to be removed or exchanged again."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,11 @@ class Found:
     def terms(self) -> list[Term]:
         """Terms of the model."""
         return [part.term for part in self.parts]
+
+    def with_parts(self, old: Sequence[Part], new: Sequence[Part]) -> Self:
+        """Return the result with the effects ``new`` in the places of the effects ``old``, one for one; others stay."""
+        places = {one.candidate.name: other for one, other in zip(old, new, strict=True)}
+        return replace(self, parts=tuple(places.get(part.candidate.name, part) for part in self.parts))
 
 
 class Search:
@@ -100,6 +106,14 @@ class Search:
                 gyro.widen(last)
         taken, self._free = self._free[:count], self._free[count:]
         return np.array(taken, dtype=np.intp)
+
+    def named_laws(self) -> set[str]:
+        """Return the laws, with settings in braces, of the effects with a name that each gyro may have here.
+
+        Barred effects are left out: the size that they seem to have is one that a law without a name may have.
+        """
+        named = (candidate for name, (candidate, _) in self.known.items() if name not in self._barred)
+        return {one.effect.record.law for one in named if not (one.law or one.depends_on or one.effect.shared)}
 
     def forget(self, names: Sequence[str]) -> None:
         """Leave some candidates out from now on; columns of laws among them are free for others."""

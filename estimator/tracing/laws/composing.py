@@ -5,6 +5,7 @@ or a play, each with one constant to be found; the product of two. Longer laws a
 together are expected as often as a shorter one less some (Rissanen 1983).
 """
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,6 +31,7 @@ from estimator.types import Floats
 Model = Sequence[tuple[Candidate, Term]]
 
 _LARGEST_RPS = float(np.radians(0.5))
+_LAW = "law: "  # before the text of a law in the name of its candidate
 _RARE = -3.0  # log prior of a law without a name, relative to the catalogue's
 _LONGER = -1.5  # of each further element of it
 _LAGS_S = np.geomspace(4.0, 400.0, 6)
@@ -117,13 +119,13 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole:
         return None
     law = "; ".join(term.strip() for term, size in zip(law.split(";"), varies, strict=True) if size is not None)
     if not kind:
-        return Candidate(f"law: {law}", constructed(law, largest), prior)
+        return Candidate(f"{_LAW}{law}", constructed(law, largest), prior)
 
     def of(constant: float) -> Effect:
         return constructed(law.format(c=f"{constant:.4g}"), largest)
 
     range_log = float(np.log(start[-1] / start[0]))
-    return Candidate.among(f"law: {law}", of, start, 1, log_prior=prior, range_log=range_log)
+    return Candidate.among(f"{_LAW}{law}", of, start, 1, log_prior=prior, range_log=range_log)
 
 
 def _largest_coefficients(runs: Sequence[Run], law: str) -> list[float | None]:
@@ -147,6 +149,11 @@ def _mean_squares(run: Run, effect: Effect) -> Floats:
     return np.asarray(np.max([np.einsum("np,np->p", one, one) / len(one) for one in columns], axis=0))
 
 
+def _form(law: str) -> str:
+    """Return a law without its sign and the name of its constant."""
+    return re.sub(r"{\w+}", "{}", law.replace(" ", "")).removeprefix("-")
+
+
 def _without(candidate: Candidate, number: int) -> Candidate:
     """Return a law without one of its terms."""
     return _with_terms(candidate, [n for n in range(len(candidate.effect.parameters)) if n != number])
@@ -161,7 +168,7 @@ def _with_terms(candidate: Candidate, numbers: Sequence[int]) -> Candidate:
         return constructed(law, tuple(effect.parameters[n].largest for n in numbers))
 
     of, effect = candidate.of, shorter(candidate.effect)
-    name = f"law: {effect.law}"
+    name = f"{_LAW}{effect.law}"
     return replace(candidate, name=name, effect=effect, of=None if of is None else lambda value: shorter(of(value)))
 
 
@@ -173,9 +180,13 @@ class Composer:
     """Adds composed laws to the result of a search, beside its effects or in the place of some of them."""
 
     def __init__(self, search: Search, laws: Sequence[Candidate]) -> None:
-        """Take the laws; none of them is among the candidates of the search yet."""
+        """Take the laws; none of them is among the candidates of the search yet.
+
+        A law that an effect with a name has is no rival of it, and is left out.
+        """
         self._search = search
-        self._laws = _Tried.of(laws)
+        named = {_form(law) for law in search.named_laws()}
+        self._laws = _Tried.of([law for law in laws if _form(law.name.removeprefix(_LAW)) not in named])
         self._coarse = [columns.coarse for columns in search.columns]
         options = [option for law in self._laws for option in law.options]
         self._stacks = stacks_of(self._coarse, search.evidence, options)
