@@ -6,9 +6,15 @@ from dataclasses import replace
 from estimator.effects.effect import Effect, Parameter, Record, Setting, Settings
 from estimator.effects.law import in_words, parsed
 
+_LONG = 60  # characters
+
 
 def _of_terms(gimbals: Sequence[str], settings: Settings) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"of {term.strip()}", "rad/s per unit", 1.0) for term in str(settings["law"]).split(";"))
+    """Return a parameter for each term of a law, named after it; a single term that is long is "the law"."""
+    terms = [term.strip() for term in str(settings["law"]).split(";")]
+    if len(terms) == 1 and len(terms[0]) > _LONG:
+        terms = ["the law"]
+    return tuple(Parameter(f"of {term}", "rad/s per unit", 1.0) for term in terms)
 
 
 def _checked(key: str, law: object) -> str:

@@ -43,8 +43,10 @@ class Candidate:
     its first parameter. ``flexible``: a law that stands for any function of its variable, ``family`` is
     then the name of that with all terms. ``sensed`` are the directions
     (3,) that gyros really sense, with their scale, in place of the nominal ones. ``settings`` are those of the model
-    that fix the nonlinear parameter. ``log_prior`` is the logarithm of the prior probability; if the effect ``beside``
-    is in the model, ``likelier`` is added to it.
+    that fix the nonlinear parameter. A law of one shape for all gyros is the sum of the terms of ``pieces``, each in
+    its largest size, times the numbers ``along``. ``by_gyro``, if set, gives the columns in place of the effect, from a
+    run and the number of a gyro in it. ``log_prior`` is the logarithm of the prior probability; if the effect
+    ``beside`` is in the model, ``likelier`` is added to it.
     """
 
     name: str
@@ -65,6 +67,9 @@ class Candidate:
     family: str = ""
     sensed: Mapping[str, Floats] = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
+    pieces: "Candidate | None" = None
+    along: tuple[float, ...] = ()
+    by_gyro: Callable[[Run, int], Floats] | None = None
 
     @classmethod
     def among(cls, name: str, of: Callable[[float], Effect], start: Floats, begin: int = 0, **more: Any) -> Self:
@@ -95,6 +100,8 @@ class Candidate:
     @property
     def alike(self) -> bool:
         """Whether all gyros have the same columns."""
+        if self.by_gyro is not None:
+            return False
         return self.effect.record.alike or bool(self.effect.law and not of_each_gyro(self.effect.law))
 
     def columns(self, run: Run, gyro: int) -> Floats:
@@ -107,6 +114,8 @@ class Candidate:
         They are per unit of each parameter. For a step of another recording this is a constant: 1 in recordings after
         it, 0 in those before. A gyro in ``sensed`` has that direction in place of its nominal sense axis.
         """
+        if self.by_gyro is not None:
+            return self.by_gyro(run, gyro)
         if self.run is not None and run.order != self.run:
             return np.full((len(run.t_s), 1), float(run.order > self.run))
         p = self.sensed.get(run.array.names[gyro])

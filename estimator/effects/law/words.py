@@ -20,14 +20,42 @@ _MANY = {"play": "plays", "expm1": "decays", "abs": "bends", "lag": "lags"}
 def in_words(law: str) -> str:
     """Return a law in words: "bias proportional to temperature lagged by 58 s".
 
-    A law of more than four terms is described by its variables and a function only. LawError for an invalid text.
+    A law of more than four terms is described by its variables and a function only, and so is a weighted sum of more
+    than four. LawError for an invalid text.
     """
-    if len(parsed(law)) > _MOST_TERMS_IN_WORDS:
+    trees = parsed(law)
+    weighted = _weighted_sum(trees[0]) if len(trees) == 1 else []
+    weighted = weighted if len(weighted) > 1 else []
+    count = max(len(trees), len(weighted))
+    if count > _MOST_TERMS_IN_WORDS:
         about = " and ".join(VARIABLES[name][2] for name in variables_of(law))
         how = next((words for name, words in _MANY.items() if name in functions_of(law)), "terms")
-        return f"bias that depends on {about} ({len(parsed(law))} {how})"
-    words = [_in_words(tree) for tree in parsed(law)]
-    return "bias proportional to " + " and to ".join(words)
+        return f"bias that depends on {about} ({count} {how}{', one shape for all gyros' if weighted else ''})"
+    if weighted:
+        words = [f"{factor:.3g} x ({_in_words(tree)})" for factor, tree in weighted]
+        return "bias proportional to " + " + ".join(words).replace("+ -", "- ")
+    return "bias proportional to " + " and to ".join(_in_words(tree) for tree in trees)
+
+
+def _weighted_sum(node: ast.expr) -> list[tuple[float, ast.expr]]:
+    """Return the numbers and the terms of a sum of terms, each with a number before it; empty if it is no such sum."""
+    match node:
+        case ast.BinOp(left=left, op=ast.Add(), right=ast.BinOp(left=factor, op=ast.Mult(), right=term)):
+            first = _weighted_sum(left)
+            number = _number(factor)
+            return [*first, (number, term)] if first and number is not None else []
+        case ast.BinOp(left=factor, op=ast.Mult(), right=term) if (number := _number(factor)) is not None:
+            return [(number, term)]
+    return []
+
+
+def _number(node: ast.expr) -> float | None:
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            return float(value)
+        case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float() as value)):
+            return -float(value)
+    return None
 
 
 def _in_words(node: ast.expr) -> str:

@@ -21,6 +21,7 @@ from estimator.estimation.evidence import Term
 from estimator.estimation.runs.run import Run
 from estimator.packaged import packaged_toml
 from estimator.tracing.candidates import Candidate
+from estimator.tracing.laws.common_shape import joined, shape_of, shape_of_needed, shaped
 from estimator.tracing.laws.flexible import flexible_laws, values_of
 from estimator.tracing.laws.needed import needed
 from estimator.tracing.option_columns import stacks_of
@@ -185,6 +186,7 @@ class Composer:
         A law that an effect with a name has is no rival of it, and is left out.
         """
         self._search = search
+        self._several_gyros = len(search.evidence.gyros) > 1
         named = {_form(law) for law in search.named_laws()}
         self._laws = _Tried.of([law for law in laws if _form(law.name.removeprefix(_LAW)) not in named])
         self._coarse = [columns.coarse for columns in search.columns]
@@ -217,7 +219,7 @@ class Composer:
                 break
             model = self._search.settled(tried[worths.index(max(worths))])
             best = self._worth(model)
-        model = [*self._pruned(model)]
+        model = self._of_one_shape(self._pruned(model))
         for one in [pair for pair in model if not pair[0].law]:
             rest = [pair for pair in model if pair is not one]
             self._kept.update(self._likely(rest, model, _RIVAL))
@@ -253,6 +255,35 @@ class Composer:
                 law = pruned[place][0]
                 self._kept.add(law.name)
         return pruned
+
+    def _of_one_shape(self, model: Model) -> list[tuple[Candidate, Term]]:
+        """Return a model whose laws have one shape for all gyros where that is the more probable.
+
+        Tried are all laws as one, then each law of several terms. Laws of one shape are added to the search.
+        """
+        search, best, chosen = self._search, self._worth(model), list(model)
+        laws = [candidate for candidate, _ in model if candidate.law]
+        if not self._several_gyros:
+            return chosen
+        for own in [*([laws] if len(laws) > 1 else []), *([law] for law in laws)]:
+            rest = [pair for pair in chosen if all(pair[0] is not law for law in own)]
+            candidate = own[0] if len(own) == 1 else joined(own)
+            if candidate is None or len(candidate.effect.parameters) < 2 or len(rest) + len(own) != len(chosen):
+                continue
+            noise = int(np.argmax(search.evidence.noise_weight([term for _, term in chosen])))
+            scan = Scan(search.columns, search.evidence, [term for _, term in rest], noise)
+            law = shaped(candidate, shape_of(*scan.products(candidate)))
+            if law is None:
+                continue
+            search.add([law])
+            scores = search.scores([term for _, term in rest], [other.name for other, _ in rest])
+            tried = [*rest, (law, scores[law.name][1])]
+            if self._worth(tried) > best:
+                best, chosen = self._worth(tried), search.settled(tried)
+                self._kept.add(law.name)
+            else:
+                search.forget([law.name])
+        return chosen
 
     def _worth(self, model: Model, noise: int | None = None) -> float:
         """Return the log evidence of a model, under all noise models or one, and how much it was expected."""
@@ -305,8 +336,9 @@ class Composer:
         for one in promising:
             if one.law.candidate.flexible and one.law.candidate.start is not None:
                 # Tuning its constant is dear, and in vain if the terms that it needs explain too little by far.
-                found = needed(*scan.products_of(self._stacks, one.law.first + one.best))
-                if _BETWEEN * found.log_evidence + one.law.candidate.log_prior <= missing:
+                products = scan.products_of(self._stacks, one.law.first + one.best)
+                most_of_terms = max(needed(*products).log_evidence, shape_of_needed(*products).log_evidence)
+                if _BETWEEN * most_of_terms + one.law.candidate.log_prior <= missing:
                     continue
             settled, worth = self._settled(scan, one)
             if worth > missing:  # with all its terms a flexible law seems to be worth more than it is
@@ -328,9 +360,14 @@ class Composer:
         if not law.flexible:
             return tuned, float("inf")
         products = scan.products_of(self._stacks, number) if tuned is law else scan.products(tuned)
-        found = needed(*products)
-        settled = replace(_with_terms(tuned, found.terms), log_tries=tuned.log_tries + found.log_tries)
-        return settled, found.log_evidence + settled.log_prior - settled.log_tries
+        free, shape = needed(*products), shape_of_needed(*products)
+        settled = replace(_with_terms(tuned, free.terms), log_tries=tuned.log_tries + free.log_tries)
+        worth = free.log_evidence + settled.log_prior - settled.log_tries
+        if shape.worth > free.worth and self._several_gyros:
+            of_shape = shaped(_with_terms(tuned, shape.terms), shape)
+            if of_shape is not None:
+                return of_shape, shape.log_evidence + of_shape.log_prior - of_shape.log_tries
+        return settled, worth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,6 +28,11 @@ class Needed:
     log_evidence: float
     log_tries: float
 
+    @property
+    def worth(self) -> float:
+        """By how much the terms raise the log evidence, less what it costs that they were chosen."""
+        return self.log_evidence - self.log_tries
+
 
 def needed(products: Floats, with_rest: Floats) -> Needed:
     """Return the terms of a law that the data need: the worst is left out again and again, and the most probable set
@@ -42,11 +47,16 @@ def needed(products: Floats, with_rest: Floats) -> Needed:
     found = []
     while len(terms):
         shown = _Shown.of(products[:, terms[:, None], terms], with_rest[:, terms])
-        log_tries = log(count) + lgamma(count + 1) - lgamma(len(terms) + 1) - lgamma(count - len(terms) + 1)
+        log_tries = log_choices(count, len(terms))
         found.append((shown.log_evidence - log_tries, terms, log_tries))
         terms = np.delete(terms, shown.least)
     worth, best, log_tries = max(found, key=lambda one: one[0])
     return Needed(tuple(best.tolist()), worth + log_tries, log_tries)
+
+
+def log_choices(count: int, chosen: int) -> float:
+    """Return the logarithm of how many choices of ``chosen`` terms of ``count`` there are, each number as probable."""
+    return log(count) + lgamma(count + 1) - lgamma(chosen + 1) - lgamma(count - chosen + 1)
 
 
 @dataclass(frozen=True, slots=True)
