@@ -28,8 +28,9 @@ _OWN = 0.1  # share of the expectation on a gyro that does not follow the other 
 class Term:
     """An effect in a model: its columns (scaled to the largest plausible size) and the scale of its prior.
 
-    ``shared``: all gyros have the same parameters. ``sizes`` are scales of the single columns in addition, if these
-    differ. ``log_tries`` is what its log evidence loses because so many like it are tried.
+    ``shared``: all gyros have the same parameters. ``sizes`` are scales of the single columns in addition, if they
+    differ; ``log_tries`` is lost of the log evidence because many like it are tried. ``part_of`` names the term without
+    which it means nothing, if any.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Term:
     scale: float = 1.0
     log_tries: float = 0.0
     sizes: tuple[float, ...] = ()
+    part_of: str = ""
 
     def scaled(self, scale: float) -> "Term":
         """Return the same with another scale."""
@@ -56,9 +58,8 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Estimate under terms: by gyro ``means`` (c,) and ``covariances`` (c, c) of [states, own terms, shared terms].
-
-    ``columns`` (c,) are the numbers of the columns that these values belong to.
+    """Estimate under terms: by gyro ``means`` (c,) and ``covariances`` (c, c) of [states, own terms, shared terms],
+    whose columns have the numbers ``columns`` (c,).
     """
 
     columns: list[int]
@@ -318,10 +319,9 @@ class Base:
         return self._with_own(columns[None], sizes[None], scales)[:, :, 0]
 
     def with_each(self, terms: Sequence[Term]) -> list[tuple[float, Term]]:
-        """Return for each term the log evidence with it, less its ``log_tries``, and the term at its best scale.
+        """Return for each term, in order, the log evidence with it, less its ``log_tries``, and it at its best scale.
 
-        The order is that of ``terms``, whose names must differ. The log evidence is that of all gyros, averaged over
-        all scales and noise models.
+        Names of terms must differ. The log evidence is that of all gyros, averaged over all scales and noise models.
         """
         found: dict[str, tuple[float, Term]] = {}
         alike = groupby(sorted(terms, key=_form), key=_form)

@@ -20,7 +20,8 @@ class Part:
     """One effect of a model: its candidate, its term, and its fit if it is a ``tone``.
 
     ``probability`` is how certain the effect is, ``rivals`` are the effects that may act in its place; ``share`` is its
-    probability among these alone, before other doubts reduce it. ``alike`` are laws that predict the same.
+    probability among these alone, before other doubts reduce it. ``alike`` are laws that predict the same. ``spread``
+    is a part that holds how far its tuned numbers may be off; such a part ``is_spread``.
     """
 
     candidate: Candidate
@@ -30,6 +31,15 @@ class Part:
     tone: ToneFit | None = None
     share: float = 1.0
     alike: tuple[str, ...] = ()
+    spread: "Part | None" = None
+    is_spread: bool = False
+
+    @property
+    def terms(self) -> list[Term]:
+        """Its term, and that of its spread; none of a tone."""
+        if self.tone is not None:
+            return []
+        return [self.term] if self.spread is None else [self.term, self.spread.term]
 
     @property
     def called(self) -> str:
@@ -73,6 +83,7 @@ class Augmented:
         default those beside the parts.
         """
         weight = evidence.noise_weight([part.term for part in parts]) if weight is None else weight
+        parts = [*parts, *(part.spread for part in parts if part.spread is not None)]
         posterior = evidence.posterior([part.term for part in parts], weight)
         tones = [part for part in parts if part.tone is not None]
         own, shared = ([p for p in parts if p.tone is None and p.term.shared == shared] for shared in (False, True))
@@ -114,6 +125,11 @@ class Augmented:
     def without_wander(self) -> Self:
         """Return the model with the white noise of its gyros alone: biases that do not wander."""
         return replace(self, instability=0.0, walk=0.0)
+
+    @property
+    def effects(self) -> tuple[Part, ...]:
+        """The parts that are effects: all but spreads."""
+        return tuple(part for part in self.parts if not part.is_spread)
 
     def slice_of(self, name: str) -> slice:
         """Return where the parameters of the effect of this name among candidates are."""

@@ -23,6 +23,7 @@ from estimator.tracing.judging.averaging import averaged, beside_suspect, betwee
 from estimator.tracing.judging.cross_validation import confirmed, judged, out_of_sample
 from estimator.tracing.judging.verification import Judged
 from estimator.tracing.laws.composing import Composer, laws_of
+from estimator.tracing.laws.spread import with_spreads
 from estimator.tracing.open_world import OpenWorld, something_beside, weighed_against
 from estimator.tracing.residuals.residual import Residual, residuals
 from estimator.tracing.run_columns import RunColumns
@@ -143,7 +144,7 @@ def _conclude(
     shows an error that the recordings do not.
     """
     evidence, visible = search.evidence, _visible(search, found)
-    parts = with_alike_laws(search, visible, held_back)
+    parts = with_spreads(search, with_alike_laws(search, visible, held_back))
     found = found.with_parts(visible, parts)
     weight = evidence.noise_weight([part.term for part in parts])
     told = out_of_sample(search.runs, Augmented.of(evidence, parts, weight), evidence.shapes)

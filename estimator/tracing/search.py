@@ -77,6 +77,21 @@ class Search:
         if not candidates:
             return
         self._scored.clear()
+        for candidate, columns in zip(candidates, self._put(candidates), strict=True):
+            term = Term(candidate.name, columns, candidate.effect.shared, log_tries=candidate.log_tries)
+            self.known[candidate.name] = (candidate, term)
+        if not self._narrowed:
+            self._narrowed = True
+            rich = [term.scaled(_RICH) for c, term in self.known.values() if not c.depends_on and not term.shared]
+            self.evidence.narrow([[], rich])
+
+    def spread_term(self, candidate: Candidate, term: Term) -> Term:
+        """Return the term of the spread of a term's tuned numbers, which all gyros share; it is no candidate."""
+        (columns,) = self._put([candidate])
+        return Term(candidate.name, columns, shared=True, part_of=term.name)
+
+    def _put(self, candidates: Sequence[Candidate]) -> list[tuple[int, ...]]:
+        """Compute the columns of candidates for every gyro; return the numbers of these by candidate."""
         widths = [len(candidate.effect.parameters) for candidate in candidates]
         numbers = self._numbers(sum(widths))
         of_runs = [
@@ -86,15 +101,7 @@ class Search:
             parts = [np.vstack([of_gyro(one, i) for one in of_runs[n]]) for n, _, i in with_gyro(self.runs, gyro.name)]
             ends = np.cumsum([len(stretch.band) for stretch in gyro.stretches])
             gyro.put(numbers, np.split(np.hstack(parts).T, ends[:-1]))
-        ends = np.cumsum(widths)
-        for candidate, its in zip(candidates, np.split(numbers, ends[:-1]), strict=True):
-            columns = tuple(its.tolist())
-            term = Term(candidate.name, columns, candidate.effect.shared, log_tries=candidate.log_tries)
-            self.known[candidate.name] = (candidate, term)
-        if not self._narrowed:
-            self._narrowed = True
-            rich = [term.scaled(_RICH) for c, term in self.known.values() if not c.depends_on and not term.shared]
-            self.evidence.narrow([[], rich])
+        return [tuple(own.tolist()) for own in np.split(numbers, np.cumsum(widths)[:-1])]
 
     def _numbers(self, count: int) -> NDArray[np.intp]:
         """Return ``count`` unused column numbers, which then count as used; make room if there are too few."""
@@ -312,9 +319,13 @@ class Search:
         return list(dict.fromkeys(found))
 
     def sharpness(self, part: Part, terms: Sequence[Term]) -> float:
-        """Return the standard deviation of an effect's nonlinear parameter, beside the other terms."""
+        """Return the standard deviation of an effect's nonlinear parameter beside the other effects of a model.
+
+        ``terms`` are those of the whole model, under whose most probable noise it is worked out.
+        """
         others = [t for t in terms if t.name != part.candidate.name]
-        return Scan(self.columns, self.evidence, others).width(part.candidate)
+        noise = int(np.argmax(self.evidence.noise_weight([*others, part.term])))
+        return Scan(self.columns, self.evidence, others, noise).width(part.candidate)
 
     def judged(self, name: str, chosen: Sequence[str], terms: Mapping[str, Term]) -> Part:
         """Return an effect of a model with its probability and its rivals, computed beside the model's other effects.

@@ -25,7 +25,7 @@ def error_model_of(found: Augmented) -> ErrorModel:
     """
     effects: dict[str, KnownEffect] = {}
     left_out = {}
-    for part in found.parts:
+    for part in found.effects:
         name = part.candidate.called
         record = part.candidate.effect.record
         if record_of(name) is None:

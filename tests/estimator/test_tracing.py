@@ -132,15 +132,43 @@ def test_an_effect_that_leaves_much_of_its_kind_in_a_run_that_contradicts_it_is_
 
 
 def test_an_error_that_gyros_share_is_no_wander_of_their_biases_and_leaves_no_law_certain() -> None:
-    # The biases oscillate as an oven does after power-on. A sum of decays imitates that in part.
-    world = open_worlds.made(open_worlds.Case("oven_overshoot", 1.0, 1))
+    # The biases follow half the difference of two angles, which no law here does.
+    world = open_worlds.made(open_worlds.Case("half_angle_difference", 1.0, 0))
     fitted, verification, clean = (first_gyros(3, *own) for own in (world.fitted, [world.verification], [world.clean]))
     found = investigate(fitted, verification)
     _, true_after_rps = true_errors(found, clean[0])
     assert found.after.rms_rps == pytest.approx(true_after_rps, rel=0.2)
-    assert found.finding == Finding.PARTLY
+    assert found.finding == Finding.UNEXPLAINED
     assert "a cause that acts on all gyros" in found.reason
     assert all(added.constructed and added.probability < 0.95 for added in found.added)
+
+
+def test_the_constant_of_a_law_is_found_under_the_noise_beside_it() -> None:
+    # Without the law the noise holds what it explains, and the constant is found several sigmas off.
+    world = open_worlds.made(open_worlds.Case("self_heating", 1.0, 0))
+    found = investigate(world.fitted, [world.verification])
+    (added,) = found.added
+    assert added.expression.startswith("lag(abs(u), ")
+    constant = added.parameters["constant"]
+    assert constant.value == pytest.approx(28.126, abs=3 * constant.sd)  # as the case draws it
+    assert constant.sd < 1.5
+
+
+def test_an_effect_with_a_name_has_no_rival_of_the_same_law() -> None:
+    world = open_worlds.made(open_worlds.Case("rate_saturating", 1.0, 0))
+    found = investigate(world.fitted, [world.verification])
+    assert found.finding == Finding.ADDED
+    assert [(added.effect, added.probability > 0.95) for added in found.added] == [("scale_cubic", True)]
+
+
+@pytest.mark.full
+def test_gyros_that_pick_up_one_field_have_it_in_one_law_of_one_shape() -> None:
+    world = open_worlds.made(open_worlds.Case("lorentz_drive_scale", 1.0, 0))
+    found = investigate(world.fitted, [world.verification])
+    (added,) = found.added
+    assert added.probability > 0.95
+    assert all(term in added.expression for term in ("u*gs", "u*ms", "u*ns"))
+    assert len(added.parameters) == 4
 
 
 def test_laws_that_predict_the_same_are_no_rivals() -> None:
@@ -159,6 +187,7 @@ def test_what_happens_in_a_sector_of_an_angle_is_followed_where_no_law_has_a_for
     found = investigate(world.fitted, [world.verification])
     (added,) = found.added
     assert "angle of axis y" in added.effect
+    assert "one shape for all gyros" in added.effect
     assert found.after.rms_rps < found.before.rms_rps / 8
 
 

@@ -69,7 +69,7 @@ def averaged(
     """
     closed = np.log1p(-min(opened.probability, 1 - 1e-12))
     sets = [(terms, value + closed) for terms, value in _alternatives(search, parts)]
-    sure = [c.term for c in parts if c.probability >= CERTAIN and c.tone is None]
+    sure = [term for part in parts if part.probability >= CERTAIN for term in part.terms]
     if opened.probability > 0:  # not so without any function of measured values
         share = opened.by_size - np.logaddexp.reduce(opened.by_size) + np.log(max(opened.probability, 1e-30))
         base = np.logaddexp.reduce([value for _, value in sets]) - closed
@@ -121,11 +121,12 @@ def _alternatives(search: Search, parts: Sequence[Part]) -> list[tuple[list[Term
     for part in (c for c in parts if c.tone is None and c.probability < CERTAIN):
         scores = search.scores([c.term for c in kept], [c.candidate.name for c in kept])
         rivals = [name for name in scores if search.known[name][0].label in part.rivals]
-        swapped = [replace(part, candidate=search.known[name][0], term=scores[name][1]) for name in rivals]
+        swapped = [replace(part, candidate=search.known[name][0], term=scores[name][1], spread=None) for name in rivals]
         sets = [[*own, *more] for own in sets for more in ([], *([one] for one in [part, *swapped]))][:_MOST_SETS]
     found = []
     for own in sets:
-        terms = list({c.candidate.name: c.term for c in own}.values())
+        parts_of_set = {c.candidate.name: c for c in own}.values()
         prior = sum(c.candidate.log_prior for c in own if c not in kept)
-        found.append((terms, search.evidence.of(terms) + prior))
+        value = search.evidence.of([c.term for c in parts_of_set]) + prior
+        found.append(([term for c in parts_of_set for term in c.terms], value))
     return found

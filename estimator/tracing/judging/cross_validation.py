@@ -85,7 +85,7 @@ def out_of_sample(runs: Sequence[Run], model: Augmented, shapes: NoiseShapes) ->
     if count < 2:
         return {}
     steps = _log_gains_in_folds(evidence, terms, [_of_number(number) for number in range(count)])
-    return {term.name: OutOfSample(None if by_run is None else by_run[term.name], steps[term.name]) for term in terms}
+    return {name: OutOfSample(None if by_run is None else by_run[name], steps[name]) for name in steps}
 
 
 def confirmed(search: Search, certain: list[Part], held_back: Sequence[Run]) -> tuple[list[Part], list[str]]:
@@ -246,8 +246,13 @@ def _log_gains_in_folds(evidence: Evidence, terms: Sequence[Term], folds: Sequen
 
 
 def _gained(evidence: Evidence, terms: Sequence[Term]) -> dict[str, float]:
+    """Return by effect how much it adds to the log evidence, with the spread of its tuned numbers."""
     both = evidence.of(terms)
-    return {term.name: both - evidence.of([t for t in terms if t is not term]) for term in terms}
+    return {
+        one.name: both - evidence.of([other for other in terms if one.name not in (other.name, other.part_of)])
+        for one in terms
+        if not one.part_of
+    }
 
 
 def _divided_at_steps(run: Run) -> Run:

@@ -38,9 +38,11 @@ def _open_directions(model: Augmented, gyro: int) -> Floats:
     These are each parameter of anything but laws, and the estimate of all laws together, unless that is zero.
     """
     of_laws = np.zeros(len(model.mean[gyro]), dtype=np.bool_)
+    sizes = np.zeros(len(of_laws), dtype=np.bool_)
     for part in model.parts:
         if part.candidate.law:
             of_laws[model.slice_of(part.candidate.name)] = True
-    form = np.where(of_laws, model.mean[gyro], 0.0)
+            sizes[model.slice_of(part.candidate.name)] = not part.is_spread
+    form = np.where(sizes, model.mean[gyro], 0.0)
     others = np.eye(len(of_laws))[:, ~of_laws]
     return np.column_stack([others, form]) if form.any() else others  # a gyro whose columns are zero has no form
