@@ -36,8 +36,10 @@ def stuck_doubts(recording: Recording) -> list[str]:
         return []
     doubts, rates = [], None
     for source, data in recording.sources.items():
-        spans_ns = [data.t_ns[[max(start - 1, 0), stop - 1]] for start, stop in runs_of(_seen_before(data))]
-        for first_ns, last_ns in (span for span in spans_ns if np.ptp(span) > _LONG_S * 1e9):
+        # Coarse counts repeat by chance in tens of thousands of runs, nearly all of them short.
+        runs = np.array(runs_of(_seen_before(data)), dtype=np.intp).reshape(-1, 2)
+        spans_ns = data.t_ns[np.column_stack([np.maximum(runs[:, 0] - 1, 0), runs[:, 1] - 1])]
+        for first_ns, last_ns in spans_ns[np.ptp(spans_ns, axis=1) > _LONG_S * 1e9]:
             rates = rates or BodyRates.of(table, recording.site)
             within_ns = np.clip([first_ns + _AWRY_NS, last_ns - _AWRY_NS], rates.starts_ns, rates.final_until_ns - 1)
             turned = rates.at(np.linspace(within_ns[0], within_ns[1], 200).astype(np.int64)) @ data.array.p.T
