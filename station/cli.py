@@ -3,6 +3,7 @@
 import argparse
 import codecs
 import difflib
+import gc
 import importlib
 import io
 import json
@@ -25,6 +26,7 @@ from station.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_USAGE, UsageError, sen
 from station.exports import GROUP as EXPORTS
 from station.render.lines import tell
 
+_UNLOOKED = 10_000  # objects that may be made before garbage is looked for; by default 700
 _NO_ROOM = ("can't start new thread", "failed to map segment")
 _MODULES = {"import": "station.commands.importing"}
 """Where the function of a command is, if not in a module of its name: ``command_NAME(arguments) -> exit code``."""
@@ -104,6 +106,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     ``argv`` defaults to the arguments of the process. 2, too, if the system lacks something or stdout was closed.
     SystemExit with 0 after --help, and with 2 for arguments that do not parse. With --ui the command ``ui`` is run in
     place of the one typed. Environment variables of this process are set, for it and all that it starts.
+    Garbage is looked for less often from then on.
     """
     _spell_out()
     parser, typed = make_parser(), sys.argv[1:] if argv is None else list(argv)
@@ -115,6 +118,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         tell(f"station: {missing}", sys.stderr)
         return EXIT_USAGE
     os.environ.update(ONE_BLAS_THREAD)
+    gc.set_threshold(_UNLOOKED)  # hardly any object here is garbage: to look for it took a seventh of a report's time
     os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started, of a pool or a screen, imports from its folder
     command = "ui" if getattr(arguments, "ui", False) else arguments.command
     try:

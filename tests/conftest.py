@@ -141,12 +141,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """Leave what is imported and collected out of what is looked through for garbage: none of it is."""
+    """Leave what is imported and collected out of what is looked through for garbage: none of it is.
+
+    Screens make hundreds of thousands of objects that stay: they are looked through as seldom as by the station itself.
+    """
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(10_000)
         gc.enable()
 
 
