@@ -1,7 +1,8 @@
 """Child process that reads files completely, so that a damaged one harms no other process.
 
 A line of JSON for each: its kind and path come in, and why it cannot be read goes out, null if it can. Ends with its
-input.
+input, and without an answer if a file kills its reader. What follows an unreadable file is read by a new process, as
+libraries are not to be trusted after one: a fork of a process that has never read any, where there are forks.
 """
 
 import json
@@ -18,6 +19,7 @@ _MOST_MEMORY_BYTES = 1 << 30
 _FREE_BYTES, _MOST_TIMES = 1 << 26, 30
 """What datasets may hold in all: so much, and beside it so many times what the file takes on its disk."""
 _ROWS = 65536  # read at once
+_UNREADABLE = 3  # exit code of a reader after a file that it could not read
 
 
 def read_hdf5(path: Path) -> str | None:
@@ -90,11 +92,32 @@ def read_all(kind: str, path: Path) -> str | None:
         return f"it is {'' if kind == 'HDF5' else f'no {kind} file, or '}damaged or cut short ({said})"
 
 
+def answer() -> int:
+    """Answer until the input ends, or a file cannot be read; return ``_UNREADABLE`` for the latter, else 0."""
+    for line in sys.stdin:
+        kind, path = json.loads(line)
+        reason = read_all(kind, Path(path))
+        print(json.dumps(reason), flush=True)
+        if reason is not None:
+            return _UNREADABLE
+    return 0
+
+
+def answer_in_forks() -> None:
+    """Answer by one fork after another until the input ends, or one dies of a file."""
+    ended_with = _UNREADABLE
+    while ended_with == _UNREADABLE:
+        reader = os.fork()
+        if reader == 0:
+            os._exit(answer())
+        ended_with = os.waitstatus_to_exitcode(os.waitpid(reader, 0)[1])
+
+
 if __name__ == "__main__":
     if os.name == "posix":
         import resource
 
         resource.setrlimit(resource.RLIMIT_DATA, (_MOST_MEMORY_BYTES, _MOST_MEMORY_BYTES))
-    for line in sys.stdin:
-        kind, path = json.loads(line)
-        print(json.dumps(read_all(kind, Path(path))), flush=True)
+        answer_in_forks()
+    else:
+        answer()

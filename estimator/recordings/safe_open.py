@@ -2,6 +2,8 @@
 
 import atexit
 import json
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -27,7 +29,7 @@ def probe(path: Path, kind: str = "HDF5", limit_s: float = PROBE_LIMIT_S) -> Non
 
 
 class _Prober:
-    """A process that reads one file after another; it is replaced after each file that it could not read."""
+    """A process that reads one file after another; it is replaced if it gave no answer."""
 
     def __init__(self) -> None:
         self._child: subprocess.Popen[str] | None = None
@@ -37,8 +39,7 @@ class _Prober:
     def ask(self, path: Path, kind: str, limit_s: float) -> str | None:
         """Return what is wrong with a file in words, None if it can be read.
 
-        The process is killed after ``limit_s``, and replaced after each file with something wrong. One file is read at
-        a time.
+        The process is killed after ``limit_s``. One file is read at a time.
         """
         with self._one_at_a_time:
             child = self._ready()
@@ -46,17 +47,18 @@ class _Prober:
 
             def give_up() -> None:
                 late.set()
-                child.kill()
+                _kill(child)
 
             timer = threading.Timer(limit_s, give_up)
             timer.start()
             wrong: str | None = f"cannot be read: it is damaged: the {kind} library failed on it"
+            answered = False
             try:
                 assert child.stdin is not None
                 assert child.stdout is not None
                 print(json.dumps([kind, str(path.absolute())]), file=child.stdin, flush=True)
                 if answer := child.stdout.readline():
-                    reason = json.loads(answer)
+                    reason, answered = json.loads(answer), True
                     wrong = None if reason is None else f"cannot be read: {reason}"
                 elif late.is_set():
                     wrong = f"is damaged: reading it did not end within {limit_s:.0f} s, so its content is unusable"
@@ -64,7 +66,7 @@ class _Prober:
                 pass  # it died before the request
             finally:
                 timer.cancel()
-                if wrong is not None:  # or was interrupted: its next answer would be taken for that of the next file
+                if not answered:  # or was interrupted: its next answer would be taken for that of the next file
                     self._end()
             return wrong
 
@@ -85,9 +87,17 @@ class _Prober:
     def _end(self) -> None:
         child, self._child = self._child, None
         if child is not None:
-            child.kill()
+            _kill(child)
             with suppress(OSError):
                 child.communicate()
+
+
+def _kill(child: subprocess.Popen[str]) -> None:
+    """Kill a process that probes files, with the fork of it that reads."""
+    if os.name == "posix" and child.poll() is None:  # later its number may be that of another group
+        with suppress(ProcessLookupError, PermissionError):  # it has just ended
+            os.killpg(child.pid, signal.SIGKILL)
+    child.kill()
 
 
 _prober = _Prober()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import psutil
 import pytest
 
 from estimator.errors import RecordingError
@@ -19,6 +22,7 @@ from estimator.geometry.model import Prior
 from estimator.recordings.reading import read_recording
 from estimator.recordings.recording import FORMAT_VERSION, ImuData, Recording
 from estimator.recordings.reference import AttitudeReadings, RateReadings, Reference, TableReadings, Turns
+from estimator.recordings.safe_open import probe
 from estimator.recordings.writing import RecordingWriter, write_attributes, write_recording, write_results
 from station.bench.bench import default_bench_text
 from station.cli import main
@@ -498,3 +502,39 @@ def test_a_run_records_how_far_the_instant_of_each_reading_can_be_off(
     assert len(found.t_ns) > 20
     np.testing.assert_array_equal(found.half_width_ns, 4_000_000)
     assert json.loads(capsys.readouterr().out)["recording"] == str(tmp_path / "run.h5")
+
+
+def readers() -> list[psutil.Process]:
+    """Return the process that has files read for this one, and after it the fork of it that reads them."""
+    for one in psutil.Process().children():
+        with suppress(psutil.NoSuchProcess):  # one of another test, that has ended
+            if "probe.py" in " ".join(one.cmdline()):
+                return [one, *one.children()]
+    return []
+
+
+@pytest.mark.parametrize(("dies", "said"), [(False, "did not end within"), (True, "the HDF5 library failed on it")])
+def test_a_file_that_its_reader_hangs_or_dies_on_is_told_and_leaves_no_process(
+    path: Path, dies: bool, said: str
+) -> None:
+    probe(path)
+    begun = readers()
+    begun[-1].suspend()  # as if it hung in the file
+    if dies:
+        threading.Timer(0.2, begun[-1].kill).start()
+    with pytest.raises(RecordingError, match=said):
+        probe(path, limit_s=30.0 if dies else 0.2)
+    gone, left = psutil.wait_procs(begun, timeout=10)
+    assert len(gone) == len(begun)
+    assert not left
+    probe(path)
+
+
+def test_a_file_after_one_that_cannot_be_read_is_read_by_another_process(path: Path, tmp_path: Path) -> None:
+    probe(path)
+    before = readers()[-1]
+    (tmp_path / "cut.h5").write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(RecordingError, match="damaged or cut short"):
+        probe(tmp_path / "cut.h5")
+    probe(path)
+    assert readers()[-1] != before
