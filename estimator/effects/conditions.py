@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.geometry.kinematics import AXES, Site, body_rate, check_gimbals, into_body, specific_force
+from estimator.geometry.kinematics import Site, Turn, body_rate, check_gimbals, specific_force, turn_frame, turns_of
 from estimator.types import Floats
 
 SLOPE_S = 10.0
@@ -137,15 +137,16 @@ class Conditions:
         ``site`` Earth rate is left out; ``temperature_c`` is (N,). RecordingError for unknown gimbals.
         """
         names = check_gimbals(gimbals)
+        turns = turns_of(angle_rad, names)
         return cls(
             t_s=t_s,
-            w_rps=body_rate(angle_rad, rate_rps, names, site),
-            wdot_rps2=body_acceleration(angle_rad, rate_rps, acceleration_rps2, names, site),
+            w_rps=body_rate(angle_rad, rate_rps, names, site, turns),
+            wdot_rps2=body_acceleration(angle_rad, rate_rps, acceleration_rps2, names, site, turns=turns),
             angle_rad=angle_rad,
             rate_rps=rate_rps,
             acceleration_rps2=acceleration_rps2,
             gimbals=names,
-            specific_force_mps2=specific_force(angle_rad, names),
+            specific_force_mps2=specific_force(angle_rad, names, turns),
             temperature_c=temperature_c,
             site=site,
         )
@@ -191,21 +192,26 @@ def _follow_finite(x: Floats, share: Floats) -> Floats:
 
 
 def body_acceleration(
-    angle_rad: Floats, rate_rps: Floats, acceleration_rps2: Floats, gimbals: Sequence[str], site: Site | None = None
+    angle_rad: Floats,
+    rate_rps: Floats,
+    acceleration_rps2: Floats,
+    gimbals: Sequence[str],
+    site: Site | None = None,
+    *,
+    turns: Sequence[Turn] | None = None,
 ) -> Floats:
     """Return the derivative (N, 3) of the body rate in body axes, rad/s2.
 
     Angles, rates and accelerations are (N, g), for g ``gimbals``, outermost first; Earth rate is that of the ``site``,
-    none without. Through each gimbal with axis e, v becomes R' v + e rate, so its derivative becomes R' vdot - rate e x
-    (R' v) + e acceleration.
+    none without. ``turns`` are those of the angles, if they are at hand. Through each gimbal with axis e, v becomes
+    R' v + e rate, so its derivative becomes R' vdot - rate e x (R' v) + e acceleration.
     """
     base = np.zeros(3) if site is None else site.earth_rate_rps()
     v = np.tile(base, (len(angle_rad), 1))
     vdot = np.zeros_like(v)
-    for column, axis in enumerate(gimbals):
-        e = np.eye(3)[AXES.index(axis)]
-        angle = angle_rad[:, [column]]
-        v, vdot = into_body(v, angle, axis), into_body(vdot, angle, axis)
+    for column, turn in enumerate(turns_of(angle_rad, gimbals) if turns is None else turns):
+        e = np.eye(3)[turn[0]]
+        v, vdot = turn_frame(v, turn), turn_frame(vdot, turn)
         vdot = vdot - rate_rps[:, [column]] * np.cross(e, v) + acceleration_rps2[:, [column]] * e
         v = v + rate_rps[:, [column]] * e
     return vdot

@@ -75,31 +75,61 @@ def gravity_at(site: Site | None) -> Gravity:
     return Gravity(value_mps2=site.local_gravity_mps2, sd=UNMEASURED_GRAVITY, source="by latitude and height")
 
 
-def into_body(base_vector: Floats, angles_rad: Floats, gimbals: Sequence[str]) -> Floats:
-    """Return a base-frame vector (3,) in body axes at each row of ``angles_rad`` (k, gimbals): (k, 3)."""
+Turn = tuple[int, Floats, Floats]
+"""A frame turned about the axis of this number, by angles with these cosines and sines (k,)."""
+
+
+def turns_of(angles_rad: Floats, gimbals: Sequence[str]) -> list[Turn]:
+    """Return the turns of the gimbals at each row of ``angles_rad`` (k, gimbals), outermost first.
+
+    To work out cosines and sines takes most of the time of what is turned by them: whatever is turned by the same
+    angles shares them.
+    """
+    return [
+        (AXES.index(axis), np.cos(angles_rad[:, column]), np.sin(angles_rad[:, column]))
+        for column, axis in enumerate(gimbals)
+    ]
+
+
+def into_body(
+    base_vector: Floats, angles_rad: Floats, gimbals: Sequence[str], turns: Sequence[Turn] | None = None
+) -> Floats:
+    """Return a base-frame vector (3,) in body axes at each row of ``angles_rad`` (k, gimbals): (k, 3).
+
+    ``turns`` are those of the angles, if they are at hand.
+    """
     v = np.broadcast_to(np.asarray(base_vector, dtype=np.float64), (len(angles_rad), 3))
-    for column, axis in enumerate(gimbals):
-        v = _turn_frame(v, axis, angles_rad[:, column])
+    for turn in turns_of(angles_rad, gimbals) if turns is None else turns:
+        v = turn_frame(v, turn)
     return v
 
 
-def body_rate(angles_rad: Floats, rates_rps: Floats, gimbals: Sequence[str], site: Site | None = None) -> Floats:
+def body_rate(
+    angles_rad: Floats,
+    rates_rps: Floats,
+    gimbals: Sequence[str],
+    site: Site | None = None,
+    turns: Sequence[Turn] | None = None,
+) -> Floats:
     """Return the inertial rate of the body in body axes, (k, 3).
 
     ``angles_rad`` and ``rates_rps`` are (k, gimbals), columns as in ``gimbals``, outermost first. Each gimbal turns the
     frame by its angle and then adds its rate about its own axis. Earth rate is included only if a site is given.
+    ``turns`` are those of the angles, if they are at hand.
     """
     start = np.zeros(3) if site is None else site.earth_rate_rps()
     w = np.array(np.broadcast_to(start, (len(angles_rad), 3)))
-    for column, axis in enumerate(gimbals):
-        w = _turn_frame(w, axis, angles_rad[:, column])
-        w[:, AXES.index(axis)] += rates_rps[:, column]
+    for column, turn in enumerate(turns_of(angles_rad, gimbals) if turns is None else turns):
+        w = turn_frame(w, turn)
+        w[:, turn[0]] += rates_rps[:, column]
     return w
 
 
-def specific_force(angles_rad: Floats, gimbals: Sequence[str]) -> Floats:
-    """Return the specific force of a table at rest, in body axes and m/s2, shape (k, 3)."""
-    return into_body(np.array([0.0, 0.0, GRAVITY_MPS2]), angles_rad, gimbals)
+def specific_force(angles_rad: Floats, gimbals: Sequence[str], turns: Sequence[Turn] | None = None) -> Floats:
+    """Return the specific force of a table at rest, in body axes and m/s2, shape (k, 3); ``turns`` as for
+    ``into_body``.
+    """
+    return into_body(np.array([0.0, 0.0, GRAVITY_MPS2]), angles_rad, gimbals, turns)
 
 
 def check_gimbals(gimbals: Sequence[str]) -> tuple[str, ...]:
@@ -110,11 +140,10 @@ def check_gimbals(gimbals: Sequence[str]) -> tuple[str, ...]:
     return names
 
 
-def _turn_frame(v: Floats, axis: str, angle_rad: Floats) -> Floats:
-    """Return the components of v (k, 3) in a frame turned by ``angle_rad`` (k,) about ``axis``: R'(angle) v."""
-    a = AXES.index(axis)
+def turn_frame(v: Floats, turn: Turn) -> Floats:
+    """Return the components of v (k, 3) in a frame that is turned so: R'(angle) v."""
+    a, cos, sin = turn
     b, c = (a + 1) % 3, (a + 2) % 3
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     out = np.empty_like(v)
     out[:, a] = v[:, a]
     out[:, b] = cos * v[:, b] + sin * v[:, c]

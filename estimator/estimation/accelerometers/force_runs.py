@@ -12,7 +12,7 @@ from estimator.estimation.runs.conditions import GRID_S, temperature_at
 from estimator.estimation.runs.measured import even_grid
 from estimator.estimation.runs.run import BLOCK_S, Run, block_means
 from estimator.geometry.array import SensorArray
-from estimator.geometry.kinematics import body_rate, into_body
+from estimator.geometry.kinematics import body_rate, into_body, turns_of
 from estimator.geometry.model import ForcePrior
 from estimator.observations.blocks import BlockSums
 from estimator.packaged import sentence
@@ -145,11 +145,12 @@ def force_at_place(
     ``arm_m`` (3,) is the place r from the point in which the axes of the table meet.
     """
     angle, rate, acceleration = rates.felt_at(t_ns)
-    force = into_body(np.array([0.0, 0.0, gravity_mps2]), angle, gimbals)
+    turns = turns_of(angle, gimbals)
+    force = into_body(np.array([0.0, 0.0, gravity_mps2]), angle, gimbals, turns)
     if not np.any(arm_m):
         return force
-    w = body_rate(angle, rate, gimbals)
-    wdot = body_acceleration(angle, rate, acceleration, gimbals)
+    w = body_rate(angle, rate, gimbals, turns=turns)
+    wdot = body_acceleration(angle, rate, acceleration, gimbals, turns=turns)
     return np.asarray(force + np.cross(wdot, arm_m) + np.cross(w, np.cross(w, arm_m)))
 
 
