@@ -105,9 +105,11 @@ class SlcanAdapter(LineDevice):
         is refused, or for closing a closed channel.
         """
         if name == "C":
-            was_open, self.is_open = self.is_open, False
+            if argument or not self.is_open:
+                return BELL
+            self.is_open = False
             self._waiting.clear()
-            return CR if was_open and not argument else BELL
+            return CR
         if self.is_open:
             return BELL
         if not re.fullmatch(_TAKEN[name], argument):

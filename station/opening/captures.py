@@ -147,13 +147,17 @@ def _vectornav(raw: bytes, names: Sequence[str]) -> _Decoded:
     """
     decoder = VectorNavDecoder()
     pieces: list[Columns] = []
-    sentences: list[tuple[str, ...]] = []
+    sentences: list[list[float]] = []
+    not_numbers = 0
     for item in [*decoder.feed(raw), *decoder.flush()]:
         if isinstance(item, Frames):
             fields = [name for name in item.values.dtype.names or () if item.values[name].dtype.kind != "V"]
             pieces.append({name: item.values[name].astype(np.float64) for name in fields if "." in name})
         elif item.header == "VNIMU" and len(item.fields) == _VNIMU_FIELDS:
-            sentences.append(item.fields)
+            try:
+                sentences.append([float(field) for field in item.fields])
+            except ValueError:
+                not_numbers += 1
     if sentences and not any(names[0] in piece for piece in pieces):
         rows = np.array(sentences, dtype=np.float64)
         pieces = [{name: rows[:, at] for name, at in _VNIMU.items()} | {"imu.temperature": rows[:, 9]}]
@@ -161,7 +165,7 @@ def _vectornav(raw: bytes, names: Sequence[str]) -> _Decoded:
     for name in ("common.time_startup", "time.time_startup"):
         if name in columns:
             columns["time"] = columns[name] * 1e-9
-    return columns, _damaged(decoder.bad_frames + decoder.bad_sentences, "messages")
+    return columns, _damaged(decoder.bad_frames + decoder.bad_sentences + not_numbers, "messages")
 
 
 def _candump(section: StrictTable, folder: Path) -> Capture:

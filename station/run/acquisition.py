@@ -200,12 +200,13 @@ class Acquisition:
     async def acquire(self, imu: OpenImu) -> None:
         """Record the samples of a device until cancelled; a lost link is reopened while nothing turns, else LinkLost.
 
-        The silence of its sources counts from the reopening.
+        The silence of its sources counts from the reopening. DeviceFault if its driver ends the samples.
         """
         while True:
             try:
                 async for name, block in imu.source.blocks():
                     self._take_block(name, block)
+                raise DeviceFault(imu.config.name, "its driver ended its samples in mid-run")
             except LinkLost as error:
                 await self._reopening.restore(imu.config.name, imu.source, error)
                 now_s = asyncio.get_running_loop().time()

@@ -229,6 +229,7 @@ def test_a_ferraris_session_gives_what_imucal_gives_within_its_uncertainty(tmp_p
         ),
         ('unit = "m/s2"', 'unit = "g"', "its values look like m/s2 given as g"),
         ('x_p = { up = "x" }', "x_p = {}", "x_p: states nothing: write up"),
+        ('axis = "x", angle_deg = -360', 'axis = "x", angle_deg = 0', "x_rot.*angle_deg: is 0: state .* as a rest"),
     ],
 )
 def test_a_stated_pose_or_turn_that_is_another_is_a_gross_error(

@@ -46,6 +46,12 @@ def opened(**options: Any) -> Host:
     return host
 
 
+def test_closing_with_an_argument_is_refused_and_closes_nothing() -> None:
+    host = opened()
+    assert host.ask("C1") == b"\a"
+    assert host.ask("C") == b"\r"
+
+
 @pytest.mark.parametrize("vector", FRAMES, ids=lambda v: v["ascii"])
 def test_frames_of_the_vectors_decode(vector: dict[str, Any]) -> None:
     host, told = opened(), vector["decoded"]

@@ -315,6 +315,19 @@ def test_a_device_without_a_twin_is_told_so(
     assert "mute has no twin: its SPEC needs one, or the bench file a link" in capsys.readouterr().err
 
 
+def test_a_driver_that_ends_its_samples_ends_the_run_at_rest_and_is_named(
+    here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ends = "yield self._device, block\n                if block.t_ns[-1] > 3_000_000_000:\n                    return"
+    own = (EXAMPLES / "counted_imu.py").read_text().replace("yield self._device, block", ends)
+    (tmp_path / "ending.py").write_text(own.replace('name="counted"', 'name="ending"'))
+    bench = BENCH.format(first=f"plugins = ['{tmp_path / 'ending.py'}']").replace('"counted"', '"ending"')
+    (tmp_path / "b.toml").write_text(bench.replace('"hidden.toml"', f"'{here / 'hidden.toml'}'"))
+    typed = ["--bench", str(tmp_path / "b.toml"), "--script", "short.toml", "-o", str(tmp_path / "ends.h5")]
+    assert main(["run", *typed]) not in (0, 1)
+    assert "mine: its driver ended its samples in mid-run" in capsys.readouterr().out
+
+
 def test_a_form_that_is_none_is_told_with_the_nearest(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "run.h5", "--format", "octaev"]) == 2
     assert re.search(r"'octaev' is not one of json, .*, octave; did you mean octave\?", capsys.readouterr().err)

@@ -184,7 +184,8 @@ def _accelerometer(section: StrictTable) -> tuple[Columns, bool]:
 def _known(reference: StrictTable, timing: Timing | None, *, scale_known: bool) -> KnownSections:
     """Return the stated sections: turns, which have ``angle_deg``, and else poses.
 
-    The table's error if one states neither, and with given means or accelerometers without a known unit.
+    The table's error if one states neither or a turn of 0 deg, and with given means or accelerometers without a known
+    unit.
     """
     if timing is None:
         raise reference.fail("sections", 'cannot be combined with data = "means"')
@@ -194,7 +195,10 @@ def _known(reference: StrictTable, timing: Timing | None, *, scale_known: bool) 
     sections: dict[str, Pose | Turn] = {}
     for name, table in tables.items():
         if table.has("angle_deg"):
-            sections[name] = table.whole(read_turn)
+            turn = table.whole(read_turn)
+            if not turn.angle_rad:
+                raise table.fail("angle_deg", 'is 0: state a section that does not turn as a rest, such as up = "x"')
+            sections[name] = turn
             continue
         pose = table.whole(read_pose)
         if pose.up is None:
