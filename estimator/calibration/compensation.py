@@ -73,8 +73,8 @@ class Compensation:
         calibration's.
 
         If two gyros have one name, all get that of their device, or else source, in front. A delay of the stamps
-        becomes ``delay_s``. Effects of a table's axes, and those whose record says so, are ``left_out``. ModelError for
-        a model of another version, CompensationError for an effect that this version cannot correct.
+        becomes ``delay_s``. Effects of a table's axes or base, and those whose record says so, are ``left_out``.
+        ModelError for a model of another version, CompensationError for an effect that this version cannot correct.
         """
         known = {effect.called: effect for effect in ErrorModel.parse(model, "calibration").effects} if model else {}
         effects: list[HeldEffect] = []
@@ -90,7 +90,7 @@ class Compensation:
                 delay_s += float(values[0, 0])
             elif effect.record.left_out:
                 left_out[called] = effect.record.left_out
-            elif effect.axes:
+            elif effect.of_the_table:
                 left_out[called] = _OF_THAT_TABLE
             elif acts is None:
                 raise CompensationError(f"the calibration has the effect {called}, which this version cannot correct")

@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator.effects.catalogue import record_of
 from estimator.effects.effect import Effect, Record, Value, positive
-from estimator.effects.law import axes_of
+from estimator.effects.law import VARIABLES, axes_of, variables_of
 from estimator.errors import MISSHAPEN, EstimatorError
 from estimator.packaged import sentence
 from estimator.recordings.safe_open import probe
@@ -90,6 +90,12 @@ class KnownEffect:
     def axes(self) -> tuple[str, ...]:
         """Axes of the table that it names."""
         return axes_of(self.law) if self.law else (str(self.settings["axis"]),) if "axis" in self.settings else ()
+
+    @property
+    def of_the_table(self) -> bool:
+        """Whether it is about axes of the table, or about directions fixed to its base."""
+        names = variables_of(self.law) if self.law else ()
+        return bool(self.axes) or any(VARIABLES[name][0] == "angle" for name in names)
 
     def effect(self, gimbals: Sequence[str]) -> Effect:
         """Return the effect for a table with these gimbals (none: no table), with its sizes as the largest plausible

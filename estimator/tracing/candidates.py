@@ -46,7 +46,8 @@ class Candidate:
     that fix the nonlinear parameter. A law of one shape for all gyros is the sum of the terms of ``pieces``, each in
     its largest size, times the numbers ``along``. ``by_gyro``, if set, gives the columns in place of the effect, from a
     run and the number of a gyro in it. ``log_prior`` is the logarithm of the prior probability; if the effect
-    ``beside`` is in the model, ``likelier`` is added to it.
+    ``beside`` is in the model, ``likelier`` is added to it. The log evidence loses ``log_tries`` because the nonlinear
+    parameter was tuned, and ``log_choices`` because terms or a shape were chosen.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Candidate:
     start: Floats | None = None
     run: int | None = None
     log_tries: float = 0.0
+    log_choices: float = 0.0
     unit: str = "s"
     range_log: float = 0.0
     beside: str = ""

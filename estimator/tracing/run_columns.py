@@ -18,7 +18,7 @@ class RunColumns:
         """Begin without columns."""
         self.run = run
         self._stretches = stretches_used(run)
-        self._kept: dict[tuple[str, float | None, Record], Floats] = {}
+        self._kept: dict[tuple[str, float | None, Record, tuple[float, ...]], Floats] = {}
 
     @cached_property
     def coarse(self) -> "RunColumns":
@@ -34,7 +34,7 @@ class RunColumns:
         another recording are kept always, and those of a candidate with directions of its own (``sensed``) never.
         """
         elsewhere = candidate.run not in (None, self.run.order)  # whenever a step is, before and after it is constant
-        key = candidate.name, None if elsewhere else candidate.theta, candidate.effect.record
+        key = candidate.name, None if elsewhere else candidate.theta, candidate.effect.record, candidate.along
         columns = self._kept.get(key)
         if columns is None:
             columns = self._worked_out(candidate)

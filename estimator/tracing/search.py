@@ -78,7 +78,8 @@ class Search:
             return
         self._scored.clear()
         for candidate, columns in zip(candidates, self._put(candidates), strict=True):
-            term = Term(candidate.name, columns, candidate.effect.shared, log_tries=candidate.log_tries)
+            tries = candidate.log_tries + candidate.log_choices
+            term = Term(candidate.name, columns, candidate.effect.shared, log_tries=tries)
             self.known[candidate.name] = (candidate, term)
         if not self._narrowed:
             self._narrowed = True

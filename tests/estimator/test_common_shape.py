@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,22 @@ def test_a_law_of_one_shape_is_the_sum_of_its_terms_and_keeps_its_constant_open(
     assert one.of is not None
     assert "lag(T, 7)" in one.of(7.0).law
     assert in_words(one.law).startswith("bias proportional to ")
+    assert (one.log_tries, one.log_choices) == (candidate.log_tries, found.log_tries)
     assert joined([one, candidate]) is None
+
+
+def test_laws_are_joined_to_one_whose_constant_stays_open() -> None:
+    tuned = Candidate.among("law: lag(T, {c})", lambda s: constructed(f"lag(T, {s:g})", (2.0,)), np.array([5.0, 50.0]))
+    plain = Candidate("law: T**2", constructed("T**2", (3.0,)), log_prior=-4.0)
+    both = joined([tuned, plain])
+    assert both is not None
+    assert both.law == "lag(T, 5); T**2"
+    assert both.of is not None
+    assert both.of(7.0).law == "lag(T, 7); T**2"
+    assert both.log_prior == -4.0
+    assert both.effect.largest == pytest.approx([2.0, 3.0])
+    long = Candidate("law: long", constructed("; ".join(["abs(u - 0.12345)"] * 100)))
+    assert joined([long, replace(long, name="law: other")]) is None
 
 
 def test_a_sum_of_many_terms_is_described_by_what_it_depends_on() -> None:

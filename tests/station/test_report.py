@@ -454,7 +454,7 @@ def test_the_snippet_undoes_a_law_by_itself(text: str) -> None:
 def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_formulas(
     bare: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    laws = [law("lag(abs(u), 5)"), law("cos(2*angle_x); sin(2*angle_x)"), law("u*gz")]
+    laws = [law("lag(abs(u), 5)"), law("cos(2*angle_x); sin(2*angle_x)"), law("u*gz"), law("u*ms")]
     model = tmp_path / "model.json"
     model.write_text(ErrorModel(tuple(laws)).text(), encoding="utf-8")
     assert main(["calibrate", "--write", "--model", str(model), str(bare), "--details"]) in (0, 1)
@@ -469,6 +469,9 @@ def test_laws_that_were_constructed_are_printed_and_reported_in_words_and_as_for
     assert "u: rate about the sense axis in rad/s" in words
     assert re.search(
         r"Not undone: constructed: bias proportional to cos of \(.*belongs to the axes of the table", words
+    )
+    assert re.search(
+        r"Not undone: .*horizontal x of the base along the sense axis.*belongs to the axes of the table", words
     )
     arrays = {name: data.array for name, data in read_recording(bare).sources.items()}
     calibration = read_calibration(bare)

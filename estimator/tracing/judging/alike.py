@@ -23,7 +23,11 @@ def with_alike_laws(search: Search, parts: Sequence[Part], held_back: Sequence[R
     """
     if not held_back:
         return list(parts)
-    return [_with_alike(search, parts, part, held_back) if _in_doubt(part) else part for part in parts]
+    found = list(parts)
+    for number, part in enumerate(parts):
+        if _in_doubt(part):
+            found[number] = _with_alike(search, found, part, held_back)
+    return found
 
 
 def _in_doubt(part: Part) -> bool:

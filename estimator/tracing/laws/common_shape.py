@@ -121,7 +121,7 @@ def _sizes(products: Floats, with_rest: Floats, along: Floats, scale: float) -> 
 def shaped(candidate: Candidate, shape: Shape) -> Candidate | None:
     """Return a law of one term: the p terms of a law, each times its number in a shape, and their sum.
 
-    Its constant stays open. None if the text would be longer than a law may be.
+    Its constant stays open. None if the text would be longer than a law may be, at any start value of the constant.
     """
 
     def of_one_term(effect: Effect) -> Effect:
@@ -130,35 +130,55 @@ def shaped(candidate: Candidate, shape: Shape) -> Candidate | None:
         terms = zip((factors / largest).tolist(), effect.law.split(";"), strict=True)
         return constructed("+".join(f"({factor:.6g})*({term.strip()})" for factor, term in terms), (largest,))
 
+    of = candidate.of
     try:
         effect = of_one_term(candidate.effect)
+        if of is not None and candidate.start is not None:
+            for value in candidate.start.tolist():
+                of_one_term(of(value))
     except LawError:
         return None
-    of = candidate.of
     return replace(
         candidate,
         name=f"{candidate.name} of one shape",
         effect=effect,
         of=None if of is None else lambda value: of_one_term(of(value)),
-        log_tries=candidate.log_tries + shape.log_tries,
+        log_choices=candidate.log_choices + shape.log_tries,
         pieces=candidate,
         along=tuple(shape.along.tolist()),
     )
 
 
 def joined(laws: Sequence[Candidate]) -> Candidate | None:
-    """Return one law with the terms of several, at their constants, as one of the same prior probability as all.
+    """Return one law with the terms of several, as one of the same prior probability as all; its constant stays open.
 
-    None if a law is of one shape already.
+    None if a law is of one shape already, if several have a constant, or if the text would be longer than a law may be.
     """
-    if any(law.pieces is not None for law in laws):
+    tuned = [law for law in laws if law.of is not None]
+    if len(tuned) > 1 or any(law.pieces is not None for law in laws):
         return None
-    largest = tuple(parameter.largest for law in laws for parameter in law.effect.parameters)
-    effect = constructed("; ".join(law.effect.law for law in laws), largest)
-    return Candidate(
+
+    def with_terms_of(effects: Sequence[Effect]) -> Effect:
+        largest = tuple(parameter.largest for effect in effects for parameter in effect.parameters)
+        return constructed("; ".join(effect.law for effect in effects), largest)
+
+    def of(value: float) -> Effect:
+        return with_terms_of([law.of(value) if law.of is not None else law.effect for law in laws])
+
+    try:
+        effect = with_terms_of([law.effect for law in laws])
+        for value in tuned[0].start.tolist() if tuned and tuned[0].start is not None else ():
+            of(value)
+    except LawError:
+        return None
+    return replace(
+        tuned[0] if tuned else laws[0],
         name=" and ".join(law.name for law in laws),
         effect=effect,
+        of=of if tuned else None,
         log_prior=sum(law.log_prior for law in laws),
         log_tries=sum(law.log_tries for law in laws),
+        log_choices=sum(law.log_choices for law in laws),
         flexible=any(law.flexible for law in laws),
+        family="",
     )

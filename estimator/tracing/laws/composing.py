@@ -262,13 +262,16 @@ class Composer:
         Tried are all laws as one, then each law of several terms. Laws of one shape are added to the search.
         """
         search, best, chosen = self._search, self._worth(model), list(model)
-        laws = [candidate for candidate, _ in model if candidate.law]
         if not self._several_gyros:
             return chosen
-        for own in [*([laws] if len(laws) > 1 else []), *([law] for law in laws)]:
-            rest = [pair for pair in chosen if all(pair[0] is not law for law in own)]
+        called = [candidate.name for candidate, _ in model if candidate.law]
+        for names in [*([called] if len(called) > 1 else []), *([name] for name in called)]:
+            own = [candidate for candidate, _ in chosen if candidate.name in names]
+            rest = [pair for pair in chosen if pair[0].name not in names]
+            if len(own) < len(names):
+                continue
             candidate = own[0] if len(own) == 1 else joined(own)
-            if candidate is None or len(candidate.effect.parameters) < 2 or len(rest) + len(own) != len(chosen):
+            if candidate is None or len(candidate.effect.parameters) < 2:
                 continue
             noise = int(np.argmax(search.evidence.noise_weight([term for _, term in chosen])))
             scan = Scan(search.columns, search.evidence, [term for _, term in rest], noise)
@@ -279,7 +282,8 @@ class Composer:
             scores = search.scores([term for _, term in rest], [other.name for other, _ in rest])
             tried = [*rest, (law, scores[law.name][1])]
             if self._worth(tried) > best:
-                best, chosen = self._worth(tried), search.settled(tried)
+                chosen = search.settled(tried)
+                best = self._worth(chosen)
                 self._kept.add(law.name)
             else:
                 search.forget([law.name])
@@ -361,12 +365,12 @@ class Composer:
             return tuned, float("inf")
         products = scan.products_of(self._stacks, number) if tuned is law else scan.products(tuned)
         free, shape = needed(*products), shape_of_needed(*products)
-        settled = replace(_with_terms(tuned, free.terms), log_tries=tuned.log_tries + free.log_tries)
-        worth = free.log_evidence + settled.log_prior - settled.log_tries
-        if shape.worth > free.worth and self._several_gyros:
+        settled = replace(_with_terms(tuned, free.terms), log_choices=free.log_tries)
+        worth = free.worth + tuned.log_prior - tuned.log_tries
+        if shape.worth > free.worth and self._several_gyros and len(shape.terms) > 1:
             of_shape = shaped(_with_terms(tuned, shape.terms), shape)
             if of_shape is not None:
-                return of_shape, shape.log_evidence + of_shape.log_prior - of_shape.log_tries
+                return of_shape, shape.worth + tuned.log_prior - tuned.log_tries
         return settled, worth
 
 

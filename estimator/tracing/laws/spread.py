@@ -58,7 +58,10 @@ class _Columns:
         constant = candidate if tuned and not candidate.by_size and candidate.run is None else None
         across = others(np.array(candidate.along)) if candidate.along else np.empty((0, 0))
         names = tuple(gyro.name for gyro in search.evidence.gyros)
-        return cls(names, sizes, constant, candidate.pieces, across)
+        pieces = candidate.pieces
+        if pieces is not None and pieces.of is not None and candidate.theta is not None:
+            pieces = at(pieces, candidate.theta)
+        return cls(names, sizes, constant, pieces, across)
 
     @property
     def count(self) -> int:
