@@ -17,9 +17,9 @@ async def make_safe(
 
     ``unconfirmed(trouble)`` is called if the controlled stop was not confirmed, before the abort. With
     ``untrue_readings`` nothing that the table reports of the stop is believed: its power stays on for the longest
-    braking time, and no abort is sent. Power is switched off in any case, within 15 s times ``time_scale`` (how fast
-    the loop's clock runs), even if the table may then coast. The result has what went wrong, empty if nothing did;
-    ``seen`` is whether the stop or the abort was confirmed by readings that are believed.
+    braking time, and no abort is sent. Power is switched off in any case, even if the table may then coast; only that
+    is limited in time, to 15 s times ``time_scale`` (how fast the loop's clock runs). The result has what went wrong,
+    empty if nothing did; ``seen`` is whether the stop or the abort was confirmed by readings that are believed.
     """
     trouble = await tried(table.stop(), None)
     aborted = ""
@@ -37,6 +37,7 @@ async def make_safe(
             trouble = f"the table was not seen to come to rest ({aborted}): use the emergency stop"
     # Also a table that heeds nothing else: it may then coast.
     powered = await tried(table.disable(), _STEP_LIMIT_S * time_scale)
-    if not trouble and powered:
-        trouble = f"the table is at rest, but its power may be on ({powered})"
+    if powered:
+        state = trouble or "the table is at rest"
+        trouble = f"{state}; its power may be on ({powered})"
     return SafeState(trouble=trouble, seen=not aborted and not untrue_readings)
