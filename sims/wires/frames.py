@@ -65,7 +65,7 @@ class NodeFaults:
         """Return the rates (m,) of one sample with the faults of gyros.
 
         Stuck ones keep the rate of the sample before, or the present one if there is none; saturated ones become
-        infinite, which stands for the end of the range.
+        infinite with the sign of their rate, which stands for the end of the range.
         """
         if not self.stuck and not self.saturated:
             self._last = rates_rps

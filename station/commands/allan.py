@@ -28,7 +28,8 @@ _MOST_UNCERTAIN = 0.5  # above it the square root of the Fisher information is m
 def command_allan(arguments: argparse.Namespace) -> int:
     """Print N, B and K (white noise, instability, random walk) of every sensor of a recording at rest; return 0.
 
-    A sensor that cannot be used is named on stderr; RecordingError if none can. With --plot a picture is drawn, too.
+    A sensor that cannot be used is named on stderr; RecordingError if none can. With --plot a picture is drawn, too;
+    with --json the one object on stdout holds the notes on sensors, too.
     UsageError for a wrong --uncertainty, and for a picture that cannot be written, before the long work.
     """
     picture = Path(arguments.plot) if arguments.plot else None

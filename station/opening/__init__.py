@@ -94,7 +94,10 @@ class OpenBench:
     """All of them by name: the table, those under test, others."""
 
     def __post_init__(self) -> None:
-        """Make ``table`` the driver of the table in ``devices``, by which it is made safe, and list the table first."""
+        """Enter ``self.table`` in ``devices`` as the driver of the table, which is made safe by it, and list it first.
+
+        An entry is added if there is none.
+        """
         name = self.bench.table.name
         known = self.devices.get(name)
         if known is None:

@@ -44,7 +44,7 @@ def planned_mountings(script: Script, bench: Bench) -> list[PlannedMountings]:
 def _planned(script: Script, bench: Bench, imu: ImuConfig) -> PlannedMountings:
     """Return what a script shows of one device; EstimatorError if it is too short.
 
-    The mountings follow from the stated one by exchange of the axes.
+    The three mountings follow from the stated one by cyclic exchange of the axes.
     """
     recordings = []
     for number in range(3):

@@ -114,23 +114,26 @@ def force_at(recording: Recording, data: ImuData, grid_s: Floats) -> Floats:
     """Return the specific force (N, 3) in body axes, in m/s^2, at instants ``grid_s`` (N,) in s.
 
     It is that of gravity by the attitude, if the reference has one, else the smoothed output of the accelerometer.
-    Outside the readings the first or last one holds. All NaN if there is neither, or no sample of the accelerometer is
-    finite.
+    Outside the readings the first or last one holds. All NaN if there is neither, if no attitude is finite, or fewer
+    than two samples of the accelerometer are.
     """
+    unknown = np.full((len(grid_s), 3), np.nan)
     attitude = recording.reference.attitude
     if attitude is not None:
         good = np.isfinite(attitude.attitude_wxyz).all(axis=1)
+        if not good.any():
+            return unknown
         at = attitude.t_ns[good] * 1e-9
         w, x, y, z = attitude.attitude_wxyz[good].T
         up = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]) * GRAVITY_MPS2
         return np.column_stack([np.interp(grid_s, at, column) for column in up.T])
     force_mps2 = data.specific_force_mps2
     if force_mps2 is None:
-        return np.full((len(grid_s), 3), np.nan)
+        return unknown
     good = np.isfinite(force_mps2).all(axis=1)
     t_s, accel = data.t_ns[good] * 1e-9, force_mps2[good]
-    if not len(t_s):
-        return np.full((len(grid_s), 3), np.nan)
+    if len(t_s) < 2:
+        return unknown
     width = max(round(_SMOOTH_S / max(float(np.median(np.diff(t_s))), 1e-6)), 1)
     kernel = np.ones(width) / width
     smooth = [np.convolve(np.pad(c, width, mode="edge"), kernel, "same")[width:-width] for c in accel.T]

@@ -186,8 +186,8 @@ def _cross_validated(search: Search, before: Augmented, after: Augmented, true: 
     """Return the errors of two models, each fifth of the steps predicted by models fitted to the others.
 
     Noise and tones stay as estimated on all steps. ``true`` is the posterior from which errors are drawn, ``misfit``
-    what the model leaves beyond noise. Without effects there is nothing to cross-validate: the errors are those of the
-    fit.
+    what the model leaves beyond noise. Only the drawn errors and their coverage are cross-validated: phases, largest
+    errors, views and states are those of the fit to all steps. Without effects all errors are.
     """
     all_runs, shapes = search.runs, search.evidence.shapes
     if not after.parts:

@@ -132,7 +132,7 @@ def _candidate(runs: Sequence[Run], law: str, kind: str, prior: float, *, whole:
 def _largest_coefficients(runs: Sequence[Run], law: str) -> list[float | None]:
     """Return for each term of a law the coefficient at which its largest rms in a run is 0.5 deg/s.
 
-    None for a term that does not vary.
+    None for a term that is zero, or not finite, in all runs; a constant one has a coefficient.
     """
     effect = constructed(law)
     squares = np.zeros(len(effect.parameters))

@@ -76,8 +76,9 @@ def write_ardupilot(exported: Exported) -> Written:
 def _bias_only(exported: Exported, form: str, most: int) -> tuple[dict[str, str], dict[str, Any]]:
     """Return the effects that are left out, with reasons, and the values that an autopilot can hold.
 
-    Values: gyro number, bias in rad/s along x, y, z, its linear and quadratic temperature coefficients (empty without
-    any), scale factor errors in ppm as text for a comment, reference and lowest, mean and highest temperature in degC.
+    Values: gyro number, bias to be subtracted in rad/s along x, y, z, its linear and quadratic temperature coefficients
+    (empty without any), scale factor errors in ppm as text for a comment, reference and lowest, mean and highest
+    temperature in degC.
     UsageError if the gyro number is not below ``most``, or there are not three gyros along x, y and z; ``form`` names
     the format in it.
     """

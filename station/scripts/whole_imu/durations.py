@@ -65,7 +65,8 @@ class _Model:
     def of(cls, u: Floats, logs: Floats, slopes: Floats) -> "_Model":
         """Return the model that has the values ``logs`` (r,) and ``slopes`` (r, p) at ``u`` (p,).
 
-        A rising slope counts as none; a sigma that falls nowhere has equal shares.
+        A rising slope counts as none; slopes that fall by more than 1/2 in sum count as 1/2; a sigma that falls nowhere
+        has equal shares.
         """
         falls = np.maximum(-2 * slopes, 0.0)
         total = falls.sum(axis=1)
