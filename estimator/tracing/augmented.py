@@ -21,7 +21,7 @@ class Part:
 
     ``probability`` is how certain the effect is, ``rivals`` are the effects that may act in its place; ``share`` is its
     probability among these alone, before other doubts reduce it. ``alike`` are laws that predict the same. ``spread``
-    is a part that holds how far its tuned numbers may be off; such a part ``is_spread``.
+    is a part that holds how far its tuned numbers may be off: its term is ``part_of`` that of the effect.
     """
 
     candidate: Candidate
@@ -32,7 +32,6 @@ class Part:
     share: float = 1.0
     alike: tuple[str, ...] = ()
     spread: "Part | None" = None
-    is_spread: bool = False
 
     @property
     def terms(self) -> list[Term]:
@@ -129,7 +128,7 @@ class Augmented:
     @property
     def effects(self) -> tuple[Part, ...]:
         """The parts that are effects: all but spreads."""
-        return tuple(part for part in self.parts if not part.is_spread)
+        return tuple(part for part in self.parts if not part.term.part_of)
 
     def slice_of(self, name: str) -> slice:
         """Return where the parameters of the effect of this name among candidates are."""

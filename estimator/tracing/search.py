@@ -368,6 +368,12 @@ class Search:
             return name
         return self.known[name][0].label if name else "nothing"
 
+    def added_beside(self, candidate: Candidate, model: Sequence[tuple[Candidate, Term]]) -> tuple[Candidate, Term]:
+        """Add a candidate; return it with its term at the best scale beside the effects of a model."""
+        self.add([candidate])
+        scores = self.scores([term for _, term in model], [other.name for other, _ in model])
+        return candidate, scores[candidate.name][1]
+
     def settled(self, model: Sequence[tuple[Candidate, Term]]) -> list[tuple[Candidate, Term]]:
         """Return the effects of a model with their constants tuned beside each other; the candidates known change too.
 
@@ -386,9 +392,7 @@ class Search:
                 tuned = scan.tuned(candidate)
                 if scan.gain(tuned) < scan.gain(candidate) + _RISEN:
                     continue
-                self.add([tuned])
-                scores = self.scores([term for _, term in others], [other.name for other, _ in others])
-                settled[place] = (tuned, scores[tuned.name][1])
+                settled[place] = self.added_beside(tuned, others)
                 moved = True
             if not moved:
                 break

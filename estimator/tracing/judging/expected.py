@@ -42,7 +42,7 @@ def _open_directions(model: Augmented, gyro: int) -> Floats:
     for part in model.parts:
         if part.candidate.law:
             of_laws[model.slice_of(part.candidate.name)] = True
-            sizes[model.slice_of(part.candidate.name)] = not part.is_spread
+            sizes[model.slice_of(part.candidate.name)] = not part.term.part_of
     form = np.where(sizes, model.mean[gyro], 0.0)
     others = np.eye(len(of_laws))[:, ~of_laws]
     return np.column_stack([others, form]) if form.any() else others  # a gyro whose columns are zero has no form

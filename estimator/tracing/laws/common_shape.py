@@ -15,7 +15,7 @@ from estimator.effects.effect import Effect
 from estimator.effects.law import LawError
 from estimator.estimation.evidence import SCALES
 from estimator.tracing.candidates import Candidate
-from estimator.tracing.laws.needed import log_choices
+from estimator.tracing.laws.needed import Needed, log_choices
 from estimator.types import Floats
 
 _ROUNDS = 200
@@ -23,22 +23,13 @@ _STILL = 1e-5  # change of a shape of length 1 at which it is found
 
 
 @dataclass(kw_only=True, frozen=True, slots=True, eq=False)
-class Shape:
-    """Shape of a law: the numbers ``terms`` of its terms, and ``along`` (p,), of length 1, by how much of each.
+class Shape(Needed):
+    """Shape of a law: its terms, and ``along`` (p,), of length 1, by how much of each.
 
-    ``log_evidence`` is by how much it raises the log evidence; ``log_tries`` is what that loses because the shape was
-    fitted: the share of all shapes that would do, and of all choices of terms if these were chosen.
+    ``log_tries`` holds the share of all shapes that would do, too; it is that alone if the terms were not chosen.
     """
 
-    terms: tuple[int, ...]
     along: Floats
-    log_evidence: float
-    log_tries: float
-
-    @property
-    def worth(self) -> float:
-        """By how much the shape raises the log evidence, less what it costs that it was fitted."""
-        return self.log_evidence - self.log_tries
 
 
 def shape_of(products: Floats, with_rest: Floats) -> Shape:

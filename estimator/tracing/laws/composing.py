@@ -278,9 +278,7 @@ class Composer:
             law = shaped(candidate, shape_of(*scan.products(candidate)))
             if law is None:
                 continue
-            search.add([law])
-            scores = search.scores([term for _, term in rest], [other.name for other, _ in rest])
-            tried = [*rest, (law, scores[law.name][1])]
+            tried = [*rest, search.added_beside(law, rest)]
             if self._worth(tried) > best:
                 chosen = search.settled(tried)
                 best = self._worth(chosen)

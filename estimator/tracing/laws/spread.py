@@ -4,12 +4,12 @@ The model is linear in the sizes of effects only. A time constant or a shape ent
 a number that all gyros share: where it is not well known, so is what the effect predicts, and what stands beside it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.effects.effect import Effect, Parameter
+from estimator.effects.effect import Parameter
 from estimator.estimation.runs.run import Run
 from estimator.tracing.augmented import Part
 from estimator.tracing.candidates import Candidate
@@ -82,10 +82,8 @@ class _Columns:
         return np.hstack(columns)
 
 
-def _spread(search: Search, part: Part, columns: Callable[[Run, int], Floats]) -> Part:
-    assert isinstance(columns, _Columns)
+def _spread(search: Search, part: Part, columns: _Columns) -> Part:
     parameters = tuple(Parameter(f"spread {n}", "1", 1.0) for n in range(columns.count))
-    effect: Effect = replace(part.candidate.effect, parameters=parameters)
-    name = f"spread of {part.candidate.name}"
-    candidate = Candidate(name, effect, by_gyro=columns)
-    return Part(candidate, search.spread_term(candidate, part.term), is_spread=True)
+    effect = replace(part.candidate.effect, parameters=parameters)
+    candidate = Candidate(f"spread of {part.candidate.name}", effect, by_gyro=columns)
+    return Part(candidate, search.spread_term(candidate, part.term))
